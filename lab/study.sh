@@ -185,7 +185,7 @@ ceilings() { lab ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 # Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl. A file stays below 1 MiB.
 runs_of() { # STUDY
   case $1 in
-  goes_on | map_views | solid_terms | solid_fixed | solid_ochota) echo "$RUNS/$1.jsonl" ;;
+  map_views | solid_terms | solid_fixed | solid_ochota) echo "$RUNS/$1.jsonl" ;;
   *) echo "$RUNS/${1%%_*}.jsonl" ;;
   esac
 }
@@ -732,14 +732,6 @@ study_fall() {
 }
 study_fall_caliterra() { seeded fall_caliterra fall_rows fall_caliterra caliterra-400; }
 study_fall_ochota() { seeded fall_ochota fall_rows fall_ochota ochota-400; }
-study_goes_on() {
-  local scene MAP_VIEWS
-  for scene in exact caliterra-400 ochota-400; do
-    MAP_VIEWS=$([ $scene != exact ] || echo 1)
-    row goes_on "${scene%-400}" "$scene" "" --iterations "$(steps goes_on)" --go-on-db 0.05 --depth-prior "$OUT/$scene-depth"
-  done
-}
-
 # What thinning in the middle of the finest level costs.
 thin_rows() { # STUDY SCENE
   local study=$1 scene=$2 base
@@ -966,7 +958,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota goes_on thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -44,7 +44,8 @@ enum err_code defer_see(struct defer *d, const struct render_model *m,
                         const struct render_adam *adam, const struct camera *cam,
                         const struct render_options *o, struct render_model *seen,
                         struct err *e) ERR_USE;
-/* adam->step was made, with these learning rates. ERR_MEM. */
+/* Call it after each step: it notes that step adam->step was made with the learning rates of adam.
+ * ERR_MEM. */
 enum err_code defer_stepped(struct defer *d, const struct render_adam *adam, struct err *e) ERR_USE;
 /* All groups make the steps that they are owed. What is known of them is then forgotten, so that
  * rows may be moved and changed. Does nothing if nothing is known. ERR_MEM, ERR_DEVICE. */

@@ -15,8 +15,8 @@ struct headers { /* values are borrowed from the response, or lie in the texts b
     } field[HEADERS_MAX];
     char range[80], retry[16], timing[80], modified[32];
 };
-/* Returns whether the answer repeats the id that the client sent. What a cache may keep does not:
- * others would get the id. */
+/* Returns whether the answer repeats the id that the client sent. Answers that a cache may keep do
+ * not, because other clients would get the id. */
 bool headers_repeat_id(const struct response *r);
 /* Makes the header fields of r. last: the connection closes after it. out must not outlive r. */
 void headers_make(const struct response *r, bool last, struct headers *out);

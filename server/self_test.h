@@ -1,4 +1,4 @@
-/* The server asks itself before it says that it is ready.
+/* A self-test: the server sends requests to itself before it reports that it is ready.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

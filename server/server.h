@@ -92,8 +92,8 @@ struct services *server_services(struct server *s);
  * same. Any thread. ERR_ARG, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_DATA, ERR_LIMIT, ERR_BUSY
  * (also: the server is stopping), ERR_MEM. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
-/* Asks for a reload, and does not wait: opening a file may take as long as the disk, or the server
- * that it lies at, likes. A thread of the server does it. */
+/* Asks for a reload, and does not wait: opening a file may take long, on a slow disk or at another
+ * server. A thread of the server does it. */
 void server_ask_reload(struct server *s);
 /* From now on that thread calls server_look and server_expire, and reloads where server_look asks
  * for it. */

@@ -251,11 +251,8 @@ static void stores_set_options(struct stores *st, size_t readers)
     const struct server_config *cfg = st->cfg;
     st->options = (struct catalog_options){.readers = readers,
                                            .public_url = cfg->public_url,
-                                           .base_path = cfg->base_path,
                                            .keep_s = cfg->keep_s,
                                            .keep_revisions = (size_t)cfg->keep_revisions,
-                                           .basemap = cfg->basemap,
-                                           .basemap_attribution = cfg->basemap_attribution,
                                            .city_gaussians = (size_t)cfg->city_gaussians,
                                            .geoid = st->geoid,
                                            .preset = (unsigned)cfg->preset,

@@ -1,6 +1,6 @@
 /* Keeps the stores of a server: opens what can be opened, tries the rest again, and makes a new
- * catalog when something changed. Files are looked at by whoever calls; addresses by a thread of
- * their own, so that one that does not answer delays no file.
+ * catalog when something changed. The calling thread checks files. A thread of its own checks
+ * addresses, so that one that does not answer delays no file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -29,7 +29,7 @@ enum err_code stores_start(struct stores *st, struct err *e) ERR_USE;
 /* Waits for the thread, which may be reading from an address. *st may be NULL. */
 void stores_close(struct stores **st);
 /* Looks at all stores again, those of folders as they are now. Files are served anew before
- * addresses are waited for, which is for five seconds. *tried: whether it came to stores.
+ * addresses are waited for, which is for five seconds. *tried: whether stores were tried at all.
  * ERR_FORMAT, ERR_IO, ERR_NOENT of a folder, with nothing changed; the error of the first store
  * that cannot be opened, with all others changed; ERR_MEM. */
 enum err_code stores_reload(struct stores *st, bool *tried, struct err *e) ERR_USE;

@@ -35,7 +35,7 @@ struct change_report {
     double mean_m;   /* later minus earlier, as are all members below */
     double median_m,
         spread_m;         /* to the centimetre; spread: 1.48 times the median absolute deviation */
-    double differs_share; /* of the pixels: by more than least_m */
+    double differs_share; /* share of pixels that differ by more than least_m */
     struct changed_report changed; /* changes beyond the uncertainty of both */
     double color;                  /* root mean square difference of colours, 0 to 1 */
     /* The shift and tilt that best explain the differences below 2 m, by the slopes of the earlier

@@ -9,7 +9,7 @@
  * deviations of a level place. The rim of a new house thus belongs to its region although edges are
  * uncertain. A region counts if its volume exceeds CHANGED_SIGMAS standard deviations, and if at
  * least CHANGED_MOST of its pixels differ by more than CHANGED_FIRM of those of a level place:
- * where few photographs look, one pixel in forty errs by three.
+ * where few photographs look, one pixel in forty is wrong by three standard deviations.
  * docs/decisions/029-changes.md has the reasons.
  *
  * Errors of neighbouring pixels are alike. The size of a patch of such pixels is measured on ground

@@ -1,6 +1,6 @@
-/* A surface model of known depths alone, without training: what `citysplat stereo` knows of each
- * photograph, brought together on a map. It is there minutes after the photographs. A trained
- * surface is measured against it.
+/* A surface model of known depths alone, without training: the depths of all photographs by
+ * `citysplat stereo`, combined on a map. It takes minutes instead of a training. A trained surface
+ * is measured against it.
  *
  * A pixel of the map gathers all heights that fall into it. On a wall they are of many floors, and
  * a map shows the topmost surface. A layer is the heights within two pixels' size of each other. It

@@ -180,11 +180,6 @@ enum err_code las_add(struct las *l, const struct las_point *p, size_t n, struct
     return las_put(l, e);
 }
 
-uint64_t las_count(const struct las *l)
-{
-    return l->n;
-}
-
 enum err_code las_commit(struct las **lp, struct err *e)
 {
     struct las *l = *lp;

@@ -31,7 +31,6 @@ enum err_code las_create(const char *path, const struct las_info *info, struct l
                          struct err *e) ERR_USE;
 /* Adds n points. ERR_IO. ERR_ARG: a point is too far from the offset. */
 enum err_code las_add(struct las *l, const struct las_point *p, size_t n, struct err *e) ERR_USE;
-uint64_t las_count(const struct las *l);
 /* Completes and renames the file; it closes *l in any case. ERR_IO. ERR_DATA: it has no points. */
 enum err_code las_commit(struct las **l, struct err *e) ERR_USE;
 void las_close(struct las **l); /* without a commit nothing is left */

@@ -36,10 +36,10 @@ struct region_map { /* {0}, region_begin; region_free */
 /* Begins the first pass over rows of `width` pixels; called again, begins the second pass. ERR_MEM.
  */
 enum err_code region_begin(struct region_map *m, uint32_t width, struct err *e) ERR_USE;
-/* One row of the first pass. kind: 0 outside; REGION_PIXEL and what it is besides, times the sign
- * of the value. sigma: standard deviation of a value, edge: the part
- * of it that edges add, as the root of a difference of squares. ERR_LIMIT: more than REGION_MAX
- * labels; ERR_MEM. */
+/* One row of the first pass. kind: 0 outside; else REGION_PIXEL, with the flags that the pixel has
+ * besides, times the sign of the value. sigma: standard deviation of a value. edge: the part of it
+ * that edges add, as the root of a difference of squares. ERR_LIMIT: more than REGION_MAX labels;
+ * ERR_MEM. */
 enum err_code region_add(struct region_map *m, const int8_t *kind, const float *value,
                          const float *sigma, const float *edge, struct err *e) ERR_USE;
 /* One row of the second pass, of the same kinds: the region of each pixel, as an index into list.

@@ -88,14 +88,12 @@ char kit_tmp[FILE_PATH_MAX];
 
 int kit_tmp_make(void **state)
 {
-    (void)state;
     kit_tmpdir(kit_tmp);
     return 0;
 }
 
 int kit_tmp_remove(void **state)
 {
-    (void)state;
     kit_rmdir(kit_tmp);
     return 0;
 }

@@ -309,18 +309,11 @@ static void begin_tell_length(const struct begin *t)
         at += (size_t)snprintf(parts + at, sizeof parts - at, "%s%u", i ? " + " : "",
                                t->levels[i].steps);
     }
-    bool goes_on = t->job->cfg->go_on_db > 0.0 && t->job->n_test;
     int64_t asked = schedule_asked(t->job->cfg, t->job->n_images);
     log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
-             goes_on                       ? ", and more while they gain"
-             : t->job->cfg->iterations.one ? ""
-             : asked                       ? ": the default; --iterations N asks for another length"
-                                           : ": --iterations N makes it shorter");
-    if (t->job->cfg->go_on_db > 0.0 && !goes_on)
-        log_warn("train",
-                 "cell=%s has no test photographs, which would say when to stop: it does "
-                 "not go on (--go-on-db)",
-                 t->job->cell.id);
+             t->job->cfg->iterations.one ? ""
+             : asked                     ? ": the default; --iterations N asks for another length"
+                                         : ": --iterations N makes it shorter");
 }
 
 /* A network that is warmed up for longer than its level learns nothing. */

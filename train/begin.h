@@ -37,8 +37,8 @@ struct begin { /* {.job, .lock_fd = -1} at first; call begin_close, also after a
 /* The file of a level's result; levels count from 1. ERR_LIMIT: the path is too long. */
 enum err_code begin_level_path(const struct begin *b, uint32_t level, char *out,
                                struct err *e) ERR_USE;
-/* The file of the finest level's state at its end, from which a last fit goes on after coarser
- * levels were made of it. ERR_LIMIT: the path is too long. */
+/* The file with the state of the finest level after its last step. When coarser levels have been
+ * made from that level, its final fit continues from this file. ERR_LIMIT: the path is too long. */
 #define BEGIN_FINEST "finest.ckpt"
 enum err_code begin_finest_path(const struct begin *b, char *out, struct err *e) ERR_USE;
 /* Chooses photographs, windows and budgets, and touches no file. ERR_ARG, ERR_DATA, ERR_LIMIT,

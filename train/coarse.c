@@ -54,7 +54,6 @@ static struct train_config coarse_config(const struct train_config *cells, size_
         c.iterations.one =
             (int64_t)fmax(floor((double)cells->coarse_iterations * asked / total + 0.5),
                           (double)cells->coarse_iterations_min);
-    c.go_on_db = 0.0;
     c.level_count = 1;
     c.level_order = SCHEDULE_COARSE_TO_FINE; /* of one level there is none */
     coarse_first(&c.densify_interval, cells->level_count);

@@ -186,16 +186,6 @@ enum err_code level_save_result(struct level *l, const char *path,
     return state_save_level(&l->model, &s, path, score, e);
 }
 
-/* ---- a level that goes on ---- */
-
-enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from, struct err *e)
-{
-    struct schedule *s = &l->stage.levels[l->stage.at];
-    enum err_code rc = model_settle(&l->model, e); /* owed steps were made at the rates of before */
-    *s = schedule_go_on(s, l->cfg, &l->site.cell, steps, fade_from);
-    return rc;
-}
-
 /* ---- between levels ---- */
 
 /* The smallest harmonics that look alike from where photographs stood. */
@@ -242,8 +232,6 @@ enum err_code level_next(struct level *l, struct err *e)
     at->at = next;
     at->step = 0;
     at->pruned = false;
-    at->held_db = 0.0;
-    at->in_vain = 0;
     appearance_train_restart(&l->appearance);
     rc = model_zero_moments(&l->model, e);
     if (!rc)
@@ -263,11 +251,9 @@ void level_end(struct level *l)
     l->stage.at = l->stage.n_levels;
 }
 
-enum err_code level_back(struct level *l, const struct schedule *planned, const char *path,
-                         struct err *e)
+enum err_code level_back(struct level *l, const char *path, struct err *e)
 {
     const double seconds = l->seconds; /* of processes before this one */
-    l->stage.levels[l->stage.n_levels - 1] = *planned;
     importance_free(&l->importance);
     terms_free(&l->terms);
     model_close(&l->model);

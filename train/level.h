@@ -69,10 +69,6 @@ enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
  * (may be NULL) gets the loss, which waits for the device. ERR_DATA: the loss is not finite, or no
  * Gaussian is left. Else the errors of photographs and device. */
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e) ERR_USE;
-/* After its last step the finest level goes on until `steps`; see schedule_go_on. ERR_MEM,
- * ERR_DEVICE. */
-enum err_code level_go_on(struct level *l, uint32_t steps, uint32_t fade_from,
-                          struct err *e) ERR_USE;
 /* Ends a level after its last step: removes Gaussians that contribute nothing
  * (train/density/prune.h) and reduces harmonics (train/model/harmonics.h). If that was done before,
  * it does nothing. ERR_CANCEL: stopped by a signal. ERR_MEM, ERR_DEVICE, and the errors of
@@ -92,10 +88,8 @@ enum err_code level_save_result(struct level *l, const char *path,
                                 const struct evaluate_score *score, struct err *e) ERR_USE;
 
 /* Goes back to the end of the finest level, which level_save saved, when coarser ones were made of
- * it. `planned`: its schedule of schedule_make. ERR_ARG, ERR_DATA, ERR_FORMAT,
- * ERR_NOENT, ERR_IO, ERR_MEM, ERR_DEVICE as in level_resume. */
-enum err_code level_back(struct level *l, const struct schedule *planned, const char *path,
-                         struct err *e) ERR_USE;
+ * it. ERR_ARG, ERR_DATA, ERR_FORMAT, ERR_NOENT, ERR_IO, ERR_MEM, ERR_DEVICE as in level_resume. */
+enum err_code level_back(struct level *l, const char *path, struct err *e) ERR_USE;
 
 struct level_refit { /* {0} before level_refit_open; end with level_refit_end */
     bool needed;

@@ -238,9 +238,7 @@ static enum err_code run_draw(void *user, const struct camera *cam, float *rgb, 
     return rc;
 }
 
-/* ground: NULL, or of the ground that training photographs show by itself too. */
-static enum err_code run_score(struct run *t, const struct footprint *ground,
-                               struct evaluate_score *out, struct err *e)
+static enum err_code run_score(struct run *t, struct evaluate_score *out, struct err *e)
 {
     struct level *l = &t->level;
     struct photo_loader *photos = NULL;
@@ -257,8 +255,7 @@ static enum err_code run_score(struct run *t, const struct footprint *ground,
     struct run_drawing drawing = {&l->model,
                                   {l->engine.render, NULL, gallery_options(&l->gallery, &l->stage),
                                    appearance_train_is_on(&l->appearance) ? &appearance : NULL}};
-    struct evaluate_source source = {
-        .draw = run_draw, .user = &drawing, .ground = ground, .brief = true};
+    struct evaluate_source source = {.draw = run_draw, .user = &drawing, .brief = true};
     enum err_code rc = photo_loader_open(&f, &photos, e);
     if (!rc && drawing.model.appearance)
         rc = appearance_view_open(&appearance, &l->appearance.model, l->gallery.scene, e);
@@ -367,7 +364,7 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     enum err_code rc = run_prune(t, e);
     (void)timing_turn(&l->timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
-        rc = run_score(t, NULL, &score, e);
+        rc = run_score(t, &score, e);
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
@@ -437,83 +434,12 @@ static enum err_code run_steps_left(struct run *t, struct err *e)
     return rc;
 }
 
-/* ---- a finest level that goes on ---- */
-
-/* Tenths in a row without enough gain that end a run. Where the rates stay, scores tremble by about
- * 0.1 dB: one tenth says little. */
-enum { RUN_IN_VAIN = 2 };
-
-/* Whether a look follows the steps of the level. The rates of one that ends fall already. */
-static bool run_looks(const struct run *t)
-{
-    const struct stage *at = &t->level.stage;
-    const struct schedule *s = stage_schedule(at);
-    bool fades = s->last && s->fade_from < s->steps;
-    return t->cfg->go_on_db > 0.0 && s->level == s->n_levels && !fades && !at->pruned;
-}
-
-/* Scores the test photographs, on the ground that training photographs show too if it is known:
- * what nobody photographed is a guess, and changes by more than what is looked for. */
-static enum err_code run_look(struct run *t, bool *more, struct err *e)
-{
-    struct level *l = &t->level;
-    struct stage *at = &l->stage;
-    struct evaluate_score score = {0};
-    enum timing_on was = timing_turn(&l->timing, TIMING_EVALUATE);
-    enum err_code rc = model_settle(&l->model, e);
-    if (!rc)
-        rc = run_score(t, l->site.ground, &score, e);
-    (void)timing_turn(&l->timing, was);
-    if (rc)
-        return rc == ERR_CANCEL ? run_stop(t, e) : rc;
-    const struct schedule *s = stage_schedule(at);
-    double now = score.n_seen ? score.seen_psnr_db : score.psnr_db, gain = now - at->held_db;
-    bool first = !(at->held_db > 0.0), room = schedule_next_look(s) > s->steps;
-    bool gains = first || gain >= t->cfg->go_on_db;
-    at->in_vain = gains ? 0 : at->in_vain + 1;
-    at->held_db = gains ? now : at->held_db;
-    *more = room && at->in_vain < RUN_IN_VAIN;
-    log_info("train", "cell=%s steps=%.0f look test_psnr_db=%.3f%s gain=%.3f: %s", l->site.cell.id,
-             schedule_total(s), now, score.n_seen ? " (seen ground)" : "", first ? 0.0 : gain,
-             *more  ? "goes on"
-             : room ? "two tenths gain too little, it ends"
-                    : "this is the full length, it ends");
-    return metrics_log_line(l->metrics, "look",
-                            json_pack("{s:i, s:i, s:o, s:o, s:o, s:b}", "level", (int)s->level,
-                                      "step", (int)at->step, "psnr_db", jsonc_real(score.psnr_db),
-                                      "seen_psnr_db", jsonc_real(score.seen_psnr_db), "ssim",
-                                      jsonc_real(score.ssim), "more", *more),
-                            e);
-}
-
-/* By tenths of the run, while a tenth gains enough; then the rates fall. */
-static enum err_code run_go_on(struct run *t, struct err *e)
-{
-    struct level *l = &t->level;
-    enum err_code rc = ERR_OK;
-    while (!rc && run_looks(t)) {
-        const struct schedule *s = stage_schedule(&l->stage);
-        bool more = false;
-        if (t->job->n_test)
-            rc = run_look(t, &more, e);
-        uint32_t end = more ? schedule_next_look(s) : schedule_end(s, t->cfg);
-        if (rc || end <= s->steps) /* rates that do not fall: nothing is left */
-            return rc;
-        rc = level_go_on(l, end, more ? end : s->steps, e);
-        if (!rc)
-            rc = run_steps_left(t, e);
-    }
-    return rc;
-}
-
 static enum err_code run_levels(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     enum err_code rc = level_begin(l, e);
     while (!rc && l->stage.at < l->stage.n_levels) {
         rc = run_steps_left(t, e);
-        if (!rc)
-            rc = run_go_on(t, e);
         if (!rc)
             rc = run_finish_level(t, e);
         if (!rc)
@@ -573,7 +499,7 @@ static enum err_code run_refit_level(struct run *t, uint32_t at, struct err *e)
         rc = level_refit_finish(l, e);
     (void)timing_turn(&l->timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
-        rc = run_score(t, NULL, &score, e);
+        rc = run_score(t, &score, e);
     level_refit_end(&r, l);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
     if (!rc)
@@ -614,7 +540,7 @@ static enum err_code run_back_to_finest(struct run *t, struct err *e)
         return ERR_OK;
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
     enum err_code rc = begin_finest_path(&t->begin, path, e);
-    return rc ? rc : level_back(l, &t->begin.levels[l->stage.n_levels - 1], path, e);
+    return rc ? rc : level_back(l, path, e);
 }
 
 /* The level that is there now was trained without the photographs that score it. Its scores stay

@@ -66,13 +66,6 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         json_decref(o);
         o = NULL;
     }
-    if (o && s->last && /* a level that goes on */
-        json_object_set_new(o, "go_on",
-                            json_pack("[i,i,f,i]", (int)s->steps, (int)s->fade_from, at->held_db,
-                                      (int)at->in_vain))) {
-        json_decref(o);
-        o = NULL;
-    }
     if (o && at->again && at->turned && json_object_set_new(o, "again", json_true())) {
         json_decref(o);
         o = NULL;
@@ -355,31 +348,6 @@ static enum err_code state_fill_owed(struct model *m, struct state *s, const str
     return rc;
 }
 
-/* A level that went on has other steps than were planned. */
-static enum err_code state_apply_go_on(struct state *s, struct schedule *level, const json_t *meta,
-                                       const char *path, struct err *e)
-{
-    const json_t *o = json_object_get(meta, "go_on");
-    if (!o)
-        return ERR_OK;
-    double steps = json_number_value(json_array_get(o, 0));
-    double fade_from = json_number_value(json_array_get(o, 1));
-    double held_db = json_number_value(json_array_get(o, 2));
-    double in_vain = json_number_value(json_array_get(o, 3));
-    double most = schedule_end(level, s->run.cfg);
-    if (level->most > level->steps)
-        most = (double)level->most / (1.0 - SCHEDULE_FADE_SHARE) + 1.0;
-    if (!(steps >= level->steps && steps <= most && fade_from >= level->steps &&
-          fade_from <= steps && held_db >= 0.0 && isfinite(held_db) && in_vain >= 0.0 &&
-          in_vain < 100.0))
-        return err_set(e, ERR_FORMAT, "%s: \"go_on\" is not that of a level of %u steps", path,
-                       level->steps);
-    *level = schedule_go_on(level, s->run.cfg, s->run.cell, (uint32_t)steps, (uint32_t)fade_from);
-    s->at.held_db = held_db;
-    s->at.in_vain = (uint32_t)in_vain;
-    return ERR_OK;
-}
-
 /* Is this a state of the same run? Then take over where it stood. */
 static enum err_code state_apply(struct state *s, const json_t *meta, const struct gauss *like,
                                  const char *path, struct err *e)
@@ -403,8 +371,6 @@ static enum err_code state_apply(struct state *s, const json_t *meta, const stru
         rc = state_integer(meta, path, "level", 1, at->n_levels, &level, e);
     if (!rc && at->again && !at->turned && json_is_true(json_object_get(meta, "again")))
         stage_turn(at, cfg);
-    if (!rc)
-        rc = state_apply_go_on(s, &at->levels[(int)level - 1], meta, path, e);
     if (!rc)
         rc = state_integer(meta, path, "step", 0, at->levels[(int)level - 1].steps, &step, e);
     if (!rc)

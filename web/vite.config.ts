@@ -1,11 +1,10 @@
-// Builds of the browser client: the page, the globe (`vite build --mode globe` -> dist/cesium.html), the
-// page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html), the module for other pages (`vite build --mode module` -> dist/viewer.js) and
+// Builds of the browser client: the page, the page of `citysplat mark` (`vite build --mode mark` -> dist/mark.html), the module for other pages (`vite build --mode module` -> dist/viewer.js) and
 // its layer for maps alone (`vite build --mode map` -> dist/map.js). Relative URLs,
 // everything bundled, nothing from a CDN.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { createHash } from "node:crypto";
-import { cpSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { dirname, join } from "node:path";
 import { buildSync } from "esbuild";
@@ -13,24 +12,8 @@ import { defineConfig, type Plugin } from "vite";
 
 import { dropShaderIndent, inlineWorkers, listLicences, minifyWhole } from "./build";
 
-const CESIUM_BASE_URL = JSON.stringify("./cesium/"); // beside the page
-
 // For examples/maplibre.html.
 const MAPLIBRE_PARTS = ["maplibre-gl.mjs", "maplibre-gl-worker.mjs", "maplibre-gl.css"];
-
-// What Cesium fetches while it runs, and its own bundle for examples/cesium.html.
-const CESIUM_PARTS = [
-  "Cesium.js",
-  "Workers",
-  "Widgets/CesiumWidget/CesiumWidget.css",
-  "ThirdParty/wasm_splats_bg.wasm",
-  "Assets/approximateTerrainHeights.json",
-  "Assets/IAU2006_XYS",
-  "Assets/Images/ion-credit.png",
-  "Assets/Textures/NaturalEarthII",
-  "Assets/Textures/SkyBox",
-  "Assets/Textures/moonSmall.jpg",
-];
 
 // Files of an npm package into a folder of dist/.
 function copyParts(name: string, below: string, parts: string[], folder: string): Plugin {
@@ -49,35 +32,6 @@ function copyParts(name: string, below: string, parts: string[], folder: string)
         cpSync(join(from, part), join(out, part), { recursive: true });
       }
     },
-  };
-}
-
-// The engine in a file of its own, beside the page's script: esbuild takes two seconds for what
-// Rollup takes a minute for.
-function bundleCesium(): Plugin {
-  let out = "";
-  const file = { name: "", bytes: new Uint8Array() as Uint8Array };
-  return {
-    name: "bundle-cesium",
-    apply: "build",
-    enforce: "pre",
-    configResolved: (config) => void (out = join(config.root, config.build.outDir, "assets")),
-    buildStart() {
-      const { outputFiles } = buildSync({
-        entryPoints: ["src/cesium.ts"],
-        bundle: true,
-        minify: true,
-        write: false,
-        format: "esm",
-        target: "es2022",
-        define: { CESIUM_BASE_URL },
-        legalComments: "eof",
-      });
-      file.bytes = outputFiles[0]!.contents;
-      file.name = `engine-${createHash("sha256").update(file.bytes).digest("hex").slice(0, 8)}.js`;
-    },
-    resolveId: (source) => (source === "./cesium" ? { id: `./${file.name}`, external: true } : null),
-    closeBundle: () => writeFileSync(join(out, file.name), file.bytes),
   };
 }
 
@@ -130,23 +84,15 @@ const POLICY = [
   "object-src 'none'",
   "base-uri 'self'",
 ];
-// CesiumJS makes functions from text where it decodes SPZ, and writes styles into its credits.
-const POLICY_GLOBE = POLICY.map(
-  (rule) =>
-    ({ "script-src 'self'": `${rule} 'unsafe-eval'`, "style-src 'self'": `${rule} 'unsafe-inline'` })[
-      rule
-    ] ?? rule,
-);
-
 // Only in what is built: the development server injects scripts and styles.
-function addPolicy(policy: string[]): Plugin {
+function addPolicy(): Plugin {
   return {
     name: "add-policy",
     apply: "build",
     transformIndexHtml: () => [
       {
         tag: "meta",
-        attrs: { "http-equiv": "Content-Security-Policy", content: policy.join("; ") },
+        attrs: { "http-equiv": "Content-Security-Policy", content: POLICY.join("; ") },
         injectTo: "head-prepend",
       },
     ],
@@ -188,23 +134,12 @@ const { version } = JSON.parse(readFileSync(new URL("package.json", import.meta.
 };
 const inWorkers = new Set<string>(); // sources of the module's workers
 
-// Modes: the page alone, which empties the folder first; "globe" and "mark", cesium.html and mark.html with
-// nothing in common with the page, so that it loads none of them; "module", for other pages.
+// Modes: the page alone, which empties the folder first; "mark", mark.html with nothing in common with the
+// page, so that it loads none of it; "module", for other pages.
 const builds = {
-  page: { plugins: [leaveOutGltf(), copyDraco(), dropShaderIndent(), addFirst(), addPolicy(POLICY), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
-  globe: {
-    plugins: [
-      bundleCesium(),
-      copyParts("cesium", "Build/Cesium", CESIUM_PARTS, "cesium"),
-      addPolicy(POLICY_GLOBE),
-    ],
-    build: {
-      emptyOutDir: false,
-      rollupOptions: { input: "cesium.html" },
-    },
-  },
+  page: { plugins: [leaveOutGltf(), copyDraco(), dropShaderIndent(), addFirst(), addPolicy(), dropIndent()], build: { chunkSizeWarningLimit: 1500 } },
   mark: {
-    plugins: [addPolicy(POLICY), dropIndent()],
+    plugins: [addPolicy(), dropIndent()],
     build: { emptyOutDir: false, rollupOptions: { input: "mark.html" } },
   },
   module: {
@@ -243,7 +178,7 @@ export default defineConfig(({ mode }) => {
       __ASSETS__: JSON.stringify(["module", "map"].includes(mode) ? "./assets/" : "./"), // from the script that needs them
     },
     plugins,
-    publicDir: ["globe", "mark", "module", "map"].includes(mode) ? false : "public",
+    publicDir: ["mark", "module", "map"].includes(mode) ? false : "public",
     build: { target: "es2022", sourcemap: false, ...build },
     worker: { format: "es" },
     server: { proxy: { "/collections": server, "/d/": server } },

@@ -19,9 +19,9 @@ struct align_run {
 /* Checks that there is such a program, in PATH or as a path. ERR_NOENT: there is none; the message
  * has the package to install. */
 enum err_code align_run_find(const char *program, struct err *e) ERR_USE;
-/* Runs the program to its end. If this process ends, so does the program. ERR_NOENT: there is no
- * such program. ERR_DATA: it failed; the message has its last line and the log. ERR_CANCEL: we were
- * asked to stop, and the program was stopped. ERR_IO, ERR_MEM. */
+/* Runs the program to its end. If the calling process ends, the program is killed. ERR_NOENT: there
+ * is no such program. ERR_DATA: it failed; the message has its last line and the log. ERR_CANCEL:
+ * we were asked to stop, and the program was stopped. ERR_IO, ERR_MEM. */
 enum err_code align_run(const struct align_run *r, struct err *e) ERR_USE;
 
 #endif

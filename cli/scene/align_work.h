@@ -125,8 +125,8 @@ enum err_code align_write_result(struct align *a, json_t *config, struct err *e)
 enum err_code align_publish(struct align *a, const char *below, struct err *e) ERR_USE;
 
 /* Of the largest model in the folder `below` of DIR. A plane that is seen straight on does not fix
- * the focal length, so photographs straight down of flat ground nearly fit cameras that see far too
- * narrowly. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
+ * the focal length, so photographs straight down of flat ground nearly fit cameras with a focal
+ * length that is far too long. ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM. */
 struct align_weight {
     /* focal length, as a multiple of what COLMAP began with: EXIF's, or 1.2 times the longer edge;
      * 0: all cameras are within a factor of two */

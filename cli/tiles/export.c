@@ -17,7 +17,6 @@
 #include "cli/base/cli.h"
 #include "cli/base/output.h"
 #include "cli/tiles/export_map.h"
-#include "cli/tiles/export_sog.h"
 #include "codec/container/package.h"
 #include "codec/splat/axes.h"
 #include "codec/splat/glb.h"
@@ -43,8 +42,7 @@ enum {
     EXPORT_PLY_PACKED,
     EXPORT_3DTILES,
     EXPORT_3TZ,
-    EXPORT_PMTILES,
-    EXPORT_STREAMED_SOG
+    EXPORT_PMTILES
 };
 
 struct export_options {
@@ -65,14 +63,12 @@ static const struct options_spec export_spec = {
     .usage = "citysplat export CITY.tiles -o FILE [options]",
     .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless "
              "store), .compressed.ply, .spz, .sog or plain .glb. Or writes all levels: as a folder "
-             "with tileset.json and .glb tiles for a web server or CDN, as that folder in one .3tz "
-             "file, or as PlayCanvas' streamed SOG. Or writes the map from straight above as one "
-             ".pmtiles file.",
+             "with tileset.json and .glb tiles for a web server or CDN, or as that folder in one "
+             ".3tz file. Or writes the map from straight above as one .pmtiles file.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles\n"
                "citysplat export city.tiles -o city.3tz\n"
-               "citysplat export city.tiles -o city.pmtiles\n"
-               "citysplat export city.tiles -o public/city --format streamed-sog",
+               "citysplat export city.tiles -o city.pmtiles",
     .defs = export_defs,
     .n_defs = sizeof export_defs / sizeof *export_defs,
     .min_args = 1,
@@ -409,7 +405,7 @@ static enum err_code export_format(const char *output, int *out, struct err *e)
                : err_set(e, ERR_ARG,
                          "%s: no format ends in %s: .ply, .compressed.ply, .spz, .sog, .glb, .3tz "
                          "and .pmtiles are written; for a folder of that name give --format "
-                         "3dtiles or streamed-sog",
+                         "3dtiles",
                          output, dot);
 }
 
@@ -452,10 +448,8 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
         rc = bake_find(s, o.appearance, image, e);
     if (!rc)
         rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, chosen, e)
-             : format == EXPORT_STREAMED_SOG
-                 ? export_sog_folder(s, chosen, o.output, o.overwrite, e)
-             : format == EXPORT_3TZ ? export_3tz(s, &o, chosen, e)
-                                    : export_file(s, &o, format, chosen, e);
+             : format == EXPORT_3TZ   ? export_3tz(s, &o, chosen, e)
+                                      : export_file(s, &o, format, chosen, e);
 out:
     store_close(&s);
     arena_free(&arena);

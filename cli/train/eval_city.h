@@ -43,8 +43,8 @@ struct eval_city { /* free with eval_city_close, also after an error */
 struct eval_drawing {
     const char *what; /* "level 2", "tiles, LOD", "tiles, no LOD" */
     struct evaluate_source src;
-    void *own_size; /* instead of src.user: without supersampling; NULL: src.user is */
-    void *above;    /* instead of src.user: orthographic */
+    void *own_size; /* src.user for drawing without supersampling; NULL: src.user */
+    void *above;    /* src.user for drawing orthographic views */
     /* Gives the Gaussians on the device for a camera, and options to draw them. The model is valid
      * until the next call. */
     enum err_code (*prepare)(void *user, const struct camera *cam,

@@ -19,9 +19,9 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
  * is in glTF axes. ERR_ARG, ERR_DATA (a value is not finite), ERR_LIMIT, ERR_MEM. */
 enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
                                struct err *e) ERR_USE;
-/* Reads either form, and plain accessors of short integers and bytes: one splat primitive without a
- * node transform. *out is in glTF axes. Free it with gauss_free; it is empty on errors. ERR_FORMAT,
- * ERR_DATA, ERR_LIMIT, ERR_MEM. */
+/* Reads either form, and plain accessors of short integers and bytes: all primitives with Gaussians
+ * of the scene, where their nodes place them (glb_nodes.h). *out is in glTF axes. Free it with
+ * gauss_free; it is empty on errors. ERR_FORMAT, ERR_DATA, ERR_LIMIT, ERR_MEM. */
 enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct gauss *out, struct err *e) ERR_USE;
 /* Finds the .spz inside a .glb. *spz points into `bytes`. ERR_NOENT: it has plain accessors.

@@ -48,8 +48,8 @@ void ply_encode_rows(const struct gauss *g, bool doubles, uint8_t *out);
 /* Reads an INRIA .ply in parts. *out is NULL, without an error, when the file cannot be read in
  * parts (text, compressed); ply_read reads such files. Counts are checked against the size of the
  * file. Any thread may read; close it with ply_stream_close, idempotent. Each part has an origin of
- * its own where coordinates are doubles. Unusable rows are as they are. ply_stream_open: ERR_NOENT,
- * ERR_IO, ERR_FORMAT, ERR_MEM.
+ * its own where coordinates are doubles. Unusable rows are returned unchanged. ply_stream_open:
+ * ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_MEM.
  * ply_stream_read (free *out with gauss_free): ERR_IO, ERR_FORMAT (the file became shorter),
  * ERR_ARG (rows that are not there), ERR_MEM. */
 struct ply_stream;

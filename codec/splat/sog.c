@@ -312,19 +312,3 @@ enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *
     sog_drop(&w);
     return rc;
 }
-
-enum err_code sog_write(const struct gauss *g, uint32_t sh_degree, const char *dir, struct err *e)
-{
-    struct sog_writer w = {.g = g};
-    char path[FILE_PATH_MAX];
-    enum err_code rc = sog_make(&w, sh_degree, e);
-    if (!rc)
-        rc = file_mkdir(dir, e);
-    for (size_t i = 0; !rc && i < w.n_parts; i++) {
-        rc = file_join(path, dir, w.part[i].name, e);
-        if (!rc)
-            rc = file_write(path, w.part[i].bytes.data, w.part[i].bytes.size, e);
-    }
-    sog_drop(&w);
-    return rc;
-}

@@ -16,10 +16,6 @@ struct codec_limits;
  * ERR_ARG, ERR_LIMIT, ERR_MEM. */
 enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *out,
                          struct err *e) ERR_USE;
-/* Writes the same textures and meta.json as files of a folder: a chunk of a streamed SOG. Errors as
- * sog_encode, and ERR_IO, ERR_LIMIT (path). */
-enum err_code sog_write(const struct gauss *g, uint32_t sh_degree, const char *dir,
-                        struct err *e) ERR_USE;
 /* Reads versions 1 and 2 into glTF axes. Hostile bytes are safe. Unusable rows are left out. Free
  * *out with gauss_free; it is empty on errors. ERR_FORMAT, ERR_DATA, ERR_LIMIT, ERR_MEM. */
 enum err_code sog_decode(const void *bytes, size_t n, const struct codec_limits *lim,

@@ -14,6 +14,8 @@ import { fileURLToPath } from "node:url";
 
 const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
 
+const DRACO = "Of three is assets/draco_decoder.js, too: Draco's decoder, Apache-2.0.";
+
 // Libraries that the program links itself, by the Debian package less its number: the licence of what is linked, as its
 // copyright file and its authors state it. A package that is not in here is an error: somebody has to read its licence.
 const LINKED = {
@@ -188,6 +190,7 @@ function sbom(version, files) {
     packages.push({
       SPDXID: at, name: one.name, versionInfo: one.version, downloadLocation: "NOASSERTION", filesAnalyzed: false,
       licenseConcluded: one.licence, licenseDeclared: one.licence, copyrightText: "NOASSERTION",
+      ...(one.name === "three" ? { licenseComments: DRACO } : {}),
       ...(hash ? { checksums: [{ algorithm: "SHA512", checksumValue: hash }] } : {}),
       externalRefs: [{ referenceCategory: "PACKAGE-MANAGER", referenceType: "purl", referenceLocator: `pkg:npm/${one.name.replace("@", "%40")}@${one.version}` }],
     });
@@ -236,12 +239,14 @@ program of its own.
 
 ## What the viewer contains
 
-npm's packages of \`web/package-lock.json\` that are in the viewer, the page for CesiumJS and the module, by licence. Their texts are in
+npm's packages of \`web/package-lock.json\` that are in the viewer and the module, by licence. Their texts are in
 \`/usr/share/doc/citysplat/licences-npm.txt\`.
 
 | licence | packages |
 |---|---|
 ${list.join("\n")}
+
+${DRACO}
 `;
 }
 

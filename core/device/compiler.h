@@ -1,7 +1,7 @@
 /* Compiles OpenCL programs in a process of its own, the program citysplat-compiler. The compiler in
  * a driver ends the process that it runs in when it finds a fault of its own: PoCL 6 with LLVM 18
  * aborts on one of our kernels (docs/decisions/003-build.md). In another process that is an error
- * that can be told, and the driver can be asked to compile in another way.
+ * that can be reported, and the driver can be asked to compile in another way.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -37,7 +37,7 @@ struct dev { /* made by dev_open; only one thread at a time may use it */
     size_t n_launched;
     char programs[FILE_PATH_MAX]; /* folder of compiled programs; "": none are kept */
     bool said_compiling;
-    size_t method; /* that the compiler did not die of: dev_build.c */
+    size_t method; /* which the compiler survived: dev_build.c */
     struct dev_built built[DEV_BUILT_MAX];
     size_t n_built;
     struct dev_timing *timing; /* dev_time_begin; NULL: no kernel is timed */

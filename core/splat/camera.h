@@ -38,8 +38,8 @@ bool camera_project(const struct camera *c, const double enu_m[3], double near_m
 /* As camera_project, but also false if the pixel is outside [0, width) x [0, height). */
 bool camera_frames(const struct camera *c, const double enu_m[3], double near_m, double *depth_m);
 /* How far pixels move from one view to another, px: the most of the corners and the middle of a's
- * picture, of things that are near_m or infinitely far away along a's axis. INFINITY: sizes differ,
- * or such a thing is not in front of b. */
+ * picture, of points that are near_m or infinitely far away along a's axis. INFINITY: sizes differ,
+ * or such a point is not in front of b. */
 double camera_moved_px(const struct camera *a, const struct camera *b, double near_m);
 /* The same view in a picture of another size. Focal lengths and principal point are scaled. */
 struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t height_px);

@@ -16,8 +16,8 @@
 #include "codec/scene/scene.h"
 #include "core/math/sort.h"
 #include "lab/eval/eval_lab.h"
+#include "lab/eval/fade.h"
 #include "lab/lab.h"
-#include "lod/choose/fade.h"
 #include "lod/choose/view.h"
 #include "lod/store/tree.h"
 

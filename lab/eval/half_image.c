@@ -13,6 +13,7 @@
 
 #include "core/layout.h"
 #include "core/splat/exposure.h"
+#include "lab/eval/exposure_fit.h"
 #include "train/loss/photometric.h"
 #include "train/model/appearance_train.h"
 #include "train/photographs/evaluate.h"

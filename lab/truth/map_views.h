@@ -17,8 +17,8 @@ enum { MAP_VIEWS_KINDS_MAX = 16, MAP_VIEWS_NAME = 64 };
 struct map_move {                      /* y = scale rot x + trans between frames */
     double scale, rot[9], trans[3];
 };
-/* Computes the move from the frame of a truth to that of the scene. The relation of both to one
- * COLMAP model is known. ERR_FORMAT: a scale is invalid. */
+/* Computes the transform from the truth's frame to the scene's, by the COLMAP model to which both
+ * frames have a transform. ERR_FORMAT: a scale is invalid. */
 enum err_code map_views_move(const struct map_move *colmap_to_truth, const struct scene *s,
                              struct map_move *out, struct err *e) ERR_USE;
 struct map_move map_views_move_back(const struct map_move *m);
@@ -62,11 +62,11 @@ void map_truth_free(struct map_truth *t);
 #define MAP_VIEWS_HAZE 0.05
 void map_views_limit(const struct map_truth *t, float *limit_m);
 
-struct map_drawing { /* all [h][w], see struct render_surface_maps; rgb is before black */
+struct map_drawing { /* all [h][w], see struct render_surface_maps; rgb is on black */
     const float *rgb /*[h][w][3]*/, *median_m, *front, *transmittance;
 };
-/* The second ground behind a drawing: the viewer's own. Before black alone, what is half
- * transparent looks dark, as ground that lies behind it often is. */
+/* The second background of a drawing: the colour that the viewer uses. On black alone, a half
+ * transparent surface looks dark, as the ground behind it often is, so the error is small. */
 #define MAP_VIEWS_BRIGHT                                                                           \
     {                                                                                              \
         0.62f, 0.66f, 0.40f                                                                        \
@@ -74,9 +74,9 @@ struct map_drawing { /* all [h][w], see struct render_surface_maps; rgb is befor
 struct map_score {
     /* number of views; numbers of views with PSNR in each of the two masks */
     size_t n_views, n_supported, n_square;
-    double psnr_db, ssim, gmsd; /* means over views, inside the mask, before black */
+    double psnr_db, ssim, gmsd; /* means over views, inside the mask, on black */
     double square_psnr_db;      /* inside the built-up square, seen or not */
-    /* the same two before MAP_VIEWS_BRIGHT: what is half transparent shows it */
+    /* the same two on MAP_VIEWS_BRIGHT, which half transparent surfaces show */
     double bright_psnr_db, bright_square_psnr_db;
     /* relative error of the median depth, over the pixels of all views; a hole has an error of 1 */
     double depth_median, depth_95;

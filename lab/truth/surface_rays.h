@@ -74,9 +74,9 @@ struct surface_figures { /* NAN: there are no rays */
     /* share with an error above 1, 2, 5 GSD, 0.5 m, 1 m; no surface counts as an error */
     double above[SURFACE_ABOVE];
     double follows_brightness;          /* Pearson's correlation of error and brightness */
-    double thickness_m, thickness_90_m; /* median and 90 % of rays that become opaque */
+    double thickness_m, thickness_90_m; /* of rays that become opaque: median and 90 % quantile */
     double never;                       /* share of rays that do not become opaque */
-    double left, left_90;               /* median and 90 % */
+    double left, left_90;               /* median and 90 % quantile */
     double met;                         /* mean */
 };
 /* Computes the statistics of the selected rays. ERR_MEM. */

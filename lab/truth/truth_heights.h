@@ -5,9 +5,9 @@
 #ifndef LAB_TRUTH_HEIGHTS_H
 #define LAB_TRUTH_HEIGHTS_H
 
+#include "lab/truth/edge.h"
 #include "lab/truth/surface_rays.h"
 #include "scene/synth/synth.h"
-#include "survey/edge.h"
 
 /* How well the standard deviations of a map predict its errors, over pixels that have one. */
 struct truth_sigma {

@@ -38,7 +38,7 @@ void view_close(struct view **v);
 void view_shrink(struct view *v);
 /* Borrowed until view_close. */
 const struct store *view_store(const struct view *v);
-/* store_lift of its store, before anything is drawn. */
+/* Calls store_lift for the view's store. Call it before anything is drawn. */
 void view_lift(struct view *v, double up_m);
 /* As store_get_blob. ERR_BUSY (a store at an address), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code view_get_blob(struct view *v, const char *name, struct buf *out,

@@ -2,7 +2,7 @@
  * shape (struct store_shape: boxes, centre and sizes).
  *
  * Shapes take most of the memory, so they are packed: 96 bytes instead of 144. A shape that would
- * not come out with the same bits is kept as it is. No shape that the tiler writes is such.
+ * not be unpacked to the same bits is kept unpacked. The tiler writes no such shape.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,8 +26,9 @@ struct index {                       /* {0} is empty */
     size_t n, cap, n_whole, cap_whole;
 };
 
-/* The geometric error of a tile of a level (0: an overview), by its sigma. A level is as good as
- * the finer one at pixels as large as those it was trained on, whatever its Gaussians' size. */
+/* The geometric error of a tile of a level (0: an overview), by its sigma. In a picture whose
+ * pixels are as large as those a level was trained on, the level is as good as the next finer one,
+ * whatever the size of its Gaussians. */
 double index_error_m(const double pixel_m[STORE_LEVEL_MAX], uint32_t level, double sigma_median_m);
 /* Adds a tile. `expected` is how many there will be, as far as it is known. Free with index_free.
  * ERR_MEM. */

@@ -126,8 +126,8 @@ enum err_code store_open_fd(int fd, const char *name, struct store **out, struct
  */
 enum err_code store_open_more(int fd, const struct store *first, struct store **out,
                               struct err *e) ERR_USE;
-/* Gives back the memory of the pages that were read of a file: SQLite keeps 20 of them, or more,
- * for each handle, which a handle that few reads come to does not need. They are read again. */
+/* Frees the database pages that this handle keeps in memory, 20 or more. A handle that is seldom
+ * read from does not need them; they are read again when needed. */
 void store_rest(struct store *s);
 /* Closes a store. If it is being built, the unfinished file is removed. *s may be NULL. */
 void store_close(struct store **s);
@@ -135,7 +135,8 @@ void store_close(struct store **s);
 const struct store_meta *store_info(const struct store *s);
 /* Path or address of the store, for messages; without password or signature. Borrowed. */
 const char *store_path(const struct store *s);
-/* Returns whether the object at the store's address was found to be another one now. Any thread. */
+/* Returns whether a read or store_ask found that the object at the store's address was replaced.
+ * Any thread. */
 bool store_replaced(const struct store *s);
 /* Asks the server of an address, for wait_s at most, whether its object is the same. ERR_DATA: it
  * is another one; ERR_BUSY, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. A file is never asked. */

@@ -30,7 +30,7 @@ void tilewriter_close(struct tilewriter **w);
  */
 enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_entry *t,
                              const struct gauss *g, struct err *e) ERR_USE;
-/* A thread failed: the others no longer wait for it. */
+/* Call it when a thread has failed: the others no longer wait for it. */
 void tilewriter_fail(struct tilewriter *w);
 
 #endif

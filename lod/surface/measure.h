@@ -46,8 +46,8 @@ struct measure_area {
     double surface_m2;           /* area of the surface itself, with steps and slopes */
     double base_m;               /* height of the base in the middle of the corners */
     double above_m3, below_m3;   /* volumes between surface and base */
-    /* What the volumes may be wrong by. Edges of steep faces are blurred by half a pixel and a
-     * part of a Gaussian; the plane of a rim is known as well as heights along the rim fit it. */
+    /* Uncertainty of the volumes. Edges of steep faces are blurred by half a pixel and a part of a
+     * Gaussian; the plane of a rim is known as well as heights along the rim fit it. */
     double error_m3;
     double mean_m, lowest_m, highest_m; /* heights of the surface; NAN: none */
     double pixel_m;

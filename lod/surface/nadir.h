@@ -28,8 +28,8 @@ struct nadir; /* a store, a renderer and the surveyed area; only one thread may 
 struct nadir_options {
     const char *device;     /* OpenCL device, see dev_open */
     const char *appearance; /* see lod/store/bake.h; NULL: the store's default */
-    /* ENU height above which nothing is drawn. NAN: above the survey by half of its own height plus
-     * 20 m */
+    /* ENU height above which nothing is drawn. NAN: the survey's greatest height plus half of its
+     * height range plus 20 m */
     double ceiling_m;
     size_t cache_bytes; /* as of view_open; 0: 256 MiB */
 };

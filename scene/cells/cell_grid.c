@@ -21,10 +21,3 @@ void cell_grid_from_enu(const struct cell_grid *g, double east_m, double north_m
     out[0] = g->turned ? g->cos_yaw * x + g->sin_yaw * y : east_m;
     out[1] = g->turned ? g->cos_yaw * y - g->sin_yaw * x : north_m;
 }
-
-void cell_grid_to_enu(const struct cell_grid *g, const double at[2], double out_enu_m[2])
-{
-    double x = g->cos_yaw * at[0] - g->sin_yaw * at[1], y = g->sin_yaw * at[0] + g->cos_yaw * at[1];
-    out_enu_m[0] = g->turned ? g->origin_m[0] + x : at[0];
-    out_enu_m[1] = g->turned ? g->origin_m[1] + y : at[1];
-}

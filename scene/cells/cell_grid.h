@@ -16,7 +16,5 @@ struct cell_grid {
 struct cell_grid cell_grid_make(double yaw_rad, const double origin_m[2]);
 /* Converts ENU metres to metres along the grid. */
 void cell_grid_from_enu(const struct cell_grid *g, double east_m, double north_m, double out[2]);
-/* Converts metres along the grid to ENU metres. */
-void cell_grid_to_enu(const struct cell_grid *g, const double at[2], double out_enu_m[2]);
 
 #endif

@@ -1,7 +1,7 @@
 /* The number of training photographs that see each place of a city, with what stands in front of
  * the place taken into account. The footprint counts photographs that show a place; behind a tree
- * or a house none of them may see it. Heights there are guesses, and a surface model says so
- * (lod/surface/surface.h).
+ * or a house none of them may see it. Heights there are guesses, and a surface model gives them a
+ * large standard deviation (lod/surface/surface.h).
  *
  * It is a grid over the ground. The surface of a cell is its highest opaque Gaussian, without
  * columns that stand alone. A photograph sees a cell if its picture holds the cell's surface and no

@@ -40,7 +40,7 @@ struct window {                   /* {0} is empty; free with window_free */
 enum err_code window_open(const struct scene *s, const struct partition *plan, struct window *out,
                           struct err *e) ERR_USE;
 void window_free(struct window *w);
-/* Looks at a photograph: whose is what it shows. ERR_MEM, ERR_LIMIT as in knn_build. */
+/* Finds the owner of each sample of a photograph. ERR_MEM, ERR_LIMIT as in knn_build. */
 enum err_code window_look(struct window *w, uint32_t image, struct err *e) ERR_USE;
 /* The part of that photograph that shows a cell. Returns false, and the whole picture, if no sample
  * shows it. */

@@ -6,7 +6,8 @@
  * lat, height), px, py, image; optionally name, accuracy_xy and accuracy_z in metres, and
  * accuracy_px. A comment "# EPSG:25832" above names its coordinate system. Two files, of points and
  * of their marks, are named "POINTS.csv,MARKS.csv". Metashape's XML: gcp_metashape.h. Numbers have
- * decimal points. A decimal comma is refused, and the message names the line.
+ * decimal points, or decimal commas where semicolons or tabs separate the fields (table.h). Another
+ * decimal comma is refused, and the message names the line.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -40,7 +40,8 @@ enum err_code gcp_solve(struct gcp_tie *ties, size_t n, const double up[3], doub
                         bool robust, struct gcp_solution *out, bool *fixed, struct err *e) ERR_USE;
 void gcp_solve_leave_out(const struct gcp_solution *s, const struct gcp_tie *tie,
                          struct gcp_left *out);
-/* Covariance of the frame at a place y in it, without the factor. */
+/* Covariance of a place y in the fitted frame, from the frame's error alone; not scaled by
+ * s->factor. */
 void gcp_solve_error(const struct gcp_solution *s, const double y[3], double cov[9]);
 /* How far turn [7] shifts a place y. */
 void gcp_solve_move(const struct gcp_solution *s, const double turn[7], const double y[3],

@@ -21,8 +21,8 @@ struct table { /* {0}, then table_open; table_close it */
     struct buf *bytes;
     char *next;     /* NULL: no more */
     size_t line;    /* number of the last line that was read, from 1 */
-    bool commas;    /* decimal commas were found, and told */
-    bool thousands; /* one of them may separate thousands, and that was told */
+    bool commas;    /* decimal commas were found and reported */
+    bool thousands; /* one of them may separate thousands; reported */
 };
 /* Opens a file of UTF-8 or UTF-16. Close *out with table_close. ERR_NOENT, ERR_FORMAT (no text),
  * ERR_IO, ERR_LIMIT, ERR_MEM. */
@@ -47,17 +47,17 @@ bool table_number(const char *text, double *out);
 /* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
  * Returns its length; 0: there is none. */
 size_t table_decimal_comma(const char *line, const char **at);
-/* Makes decimal commas of such a line points. The first of a table is told. */
+/* Replaces decimal commas of such a line by points. The first of a table is reported. */
 void table_decimal_points(struct table *t, char *line);
 /* Rates how well the path of a photograph matches one in a list, from its end. 0: no match. Folders
  * that both have must be equal. Case is ignored, because cameras write .JPG. A match of the whole
  * path rates higher than one of a part, and a name with its ending higher than a name without, such
- * as Metashape's labels. A letter with a mark is the same as one character and as two (NFC and NFD
- * of Unicode: systems differ in what they make of file names). Such a match rates lowest. It is
- * tried where one name alone has marks as characters of their own; which letters carry marks is not
- * compared then. */
+ * as Metashape's labels. A letter with an accent is the same as one character and as two (NFC and
+ * NFD of Unicode: systems differ in what they make of file names). Such a match rates lowest. It is
+ * tried where only one of the names has accents as characters of their own; which letters carry
+ * accents is not compared then. */
 size_t table_alike(const char *photo, const char *listed);
-/* Is it the same path but for case, the direction of slashes, and the form of letters with marks?
+/* Is it the same path but for case, the direction of slashes, and the form of letters with accents?
  */
 bool table_same_path(const char *a, const char *b);
 /* Names of a list that are not written as those of the photographs which they match. */
@@ -65,9 +65,9 @@ struct table_renamed {
     size_t n;
     const char *photo, *listed; /* the first; borrowed */
 };
-/* Notes a match whose names differ in case, slashes or marks. */
+/* Notes a match whose names differ in case, slashes or accents. */
 void table_rename(struct table_renamed *r, const char *photo, const char *listed);
-/* Tells of them, if there are any. what: the list. */
+/* Reports them, if there are any. what: the list. */
 void table_tell_renamed(const struct table_renamed *r, const char *what);
 
 #endif

@@ -87,8 +87,8 @@ double align_plan_cpu_s(const struct align_forecast *f);
 double align_plan_clock_s(const struct align_forecast *f, const struct align_pace *pace);
 enum { ALIGN_PLAN_FEATURES_MOST = 8192 };
 /* Chooses the finest of the usual values of edge_px and features that takes at most so many seconds
- * by the clock at align_plan_pace, or else the coarsest. An argument edge_px or features that is not
- * 0 is kept. The forecast is that of the pace as it is. */
+ * by the clock at align_plan_pace, or else the coarsest. An argument edge_px or features that is
+ * not 0 is kept. The forecast is for the actual pace. */
 struct align_forecast align_plan_afford(const struct align_plan *p, uint32_t edge_px,
                                         uint32_t features, const struct align_pace *pace,
                                         double seconds);

@@ -17,8 +17,8 @@ struct ingest_files { /* {0} is empty; ingest_files_free */
 /* Lists the photographs below a folder. Scenes and masks in it are left out. ERR_LIMIT, ERR_MEM. */
 enum err_code ingest_files_list(const char *root, struct ingest_files *out, struct err *e) ERR_USE;
 void ingest_files_free(struct ingest_files *f);
-/* Returns the file of a name. Case, the direction of slashes and the form of letters with marks may
- * differ if only one file fits. NULL: there is none. */
+/* Returns the file of a name. Case, the direction of slashes and the form of letters with accents
+ * may differ if only one file fits. NULL: there is none. */
 const char *ingest_files_find(const struct ingest_files *f, const char *name);
 /* Returns whether a name ends like that of a photograph, and not like that of a mask. */
 bool ingest_files_is_photo(const char *name);

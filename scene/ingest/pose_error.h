@@ -13,9 +13,8 @@
 struct pose_error {
     size_t n_points;        /* points that the photograph sees */
     double reprojection_px; /* median distance of its observations from where points project */
-    /* Standard deviation of the place where the photograph shows what it shows, over its picture
-     * at the depth of its points, in pixels of COLMAP's camera; INFINITY: its points do not fix
-     * the pose. */
+    /* Standard deviation by which the uncertain pose moves the picture, over its area at the depth
+     * of its points, in pixels of COLMAP's camera; INFINITY: its points do not fix the pose. */
     double picture_px;
 };
 /* Fills out [m->n_images]. Where the model has no observations, n_points is 0 and picture_px

@@ -298,9 +298,7 @@ void answer_dataset_collection(struct services *s, const struct request *r, stru
         return;
     }
     origin_read(s, r, &at); /* what is absolute in it must lie below the seal */
-    const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
-                                                  s->cfg->basemap_attribution,
-                                                  (size_t)s->cfg->city_gaussians};
+    const struct collection_options collection = {at.public_url, (size_t)s->cfg->city_gaussians};
     if (collection_describe(d, &collection, &b, NULL))
         response_no_memory(out);
     else

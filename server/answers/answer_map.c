@@ -13,7 +13,6 @@
 #include "server/answers/answer_view.h"
 #include "server/answers/origin.h"
 #include "server/documents/map_document.h"
-#include "server/documents/ogc_tiles.h"
 #include "server/drawing/picture_id.h"
 
 bool answer_map_is_surveyed(const struct dataset *d, struct response *out)
@@ -233,37 +232,4 @@ void answer_map_wmts(struct services *s, const struct request *r, struct dataset
         response_no_memory(out);
     else
         answer_map_document(s, r, "application/xml", b, out);
-}
-
-/* After OGC API - Tiles. */
-void answer_map_tilesets(struct services *s, const struct request *r, struct dataset *d,
-                         const struct target *t, struct response *out)
-{
-    struct body *b = NULL;
-    struct origin_places at;
-    (void)t;
-    if (!answer_map_is_surveyed(d, out))
-        return;
-    origin_read(s, r, &at);
-    if (ogc_tiles_list(d, ogc_tiles_base(at.public_url, at.base_path), &b, NULL))
-        response_no_memory(out);
-    else
-        response_document(r, RESPONSE_JSON, b, out);
-}
-
-void answer_map_tileset(struct services *s, const struct request *r, struct dataset *d,
-                        const struct target *t, struct response *out)
-{
-    struct body *b = NULL;
-    struct origin_places at;
-    char edition[9];
-    (void)t;
-    if (!answer_map_is_surveyed(d, out))
-        return;
-    response_edition(s, d, EDITION_PICTURES, edition);
-    origin_read(s, r, &at);
-    if (ogc_tiles_tileset(d, edition, ogc_tiles_base(at.public_url, at.base_path), &b, NULL))
-        response_no_memory(out);
-    else
-        response_document(r, RESPONSE_JSON, b, out);
 }

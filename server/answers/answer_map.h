@@ -7,8 +7,8 @@
 
 #include "server/answers/response.h"
 
-/* Returns whether the dataset has surveyed ground. If not, it has no maps and heights, and the
- * problem is set. */
+/* Returns whether the dataset has surveyed ground. If not, it has no maps and heights, and *out
+ * gets the error to send. */
 bool answer_map_is_surveyed(const struct dataset *d, struct response *out);
 
 #endif

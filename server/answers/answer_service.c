@@ -285,8 +285,7 @@ void answer_service_collections(struct services *s, const struct request *r, str
     if (box->has_bbox || r->auth) {
         struct origin_places at;
         origin_read(s, r, &at);
-        const struct collection_options collection = {at.public_url, at.base_path, s->cfg->basemap,
-                                                      s->cfg->basemap_attribution,
+        const struct collection_options collection = {at.public_url,
                                                       (size_t)s->cfg->city_gaussians};
         struct dataset **ds = mem_array(c->n_current, sizeof *ds);
         size_t n = 0;
@@ -368,13 +367,6 @@ void answer_service_conformance(struct services *s, const struct request *r, str
 {
     (void)d, (void)t;
     response_document(r, RESPONSE_JSON, body_ref(s->conformance), out);
-}
-
-void answer_service_matrices(struct services *s, const struct request *r, struct dataset *d,
-                             const struct target *t, struct response *out)
-{
-    (void)d, (void)t;
-    response_document(r, RESPONSE_JSON, body_ref(s->matrices), out);
 }
 
 void answer_service_api(struct services *s, const struct request *r, struct dataset *d,

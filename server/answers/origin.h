@@ -8,8 +8,8 @@
 #include "server/answers/response.h"
 
 enum { ORIGIN_MAX = 1024 };
-/* Vary for answers that depend on origin_of, and on what else. With --public-url no answer depends
- * on the name that a client says. NULL: it depends on nothing. */
+/* Vary for answers that depend on origin_of and on what `also` names. With --public-url no answer
+ * depends on the Host that a client sends. NULL: it depends on nothing. */
 enum origin_vary { ORIGIN_ALONE, ORIGIN_ENCODED, ORIGIN_ACCEPTED };
 const char *origin_vary(const struct services *s, enum origin_vary also);
 /* Writes the origin: --public-url, else "https://HOST/BASE" from the request, and behind it the
@@ -24,10 +24,10 @@ const char *origin_or_own(const struct services *s, const struct request *r, cha
 /* Returns whether clients reach the service by TLS, as far as it is known. */
 bool origin_is_tls(const struct services *s, const struct request *r);
 /* Returns whether the page that made the request belongs to the service itself: its Origin is that
- * of --public-url, or without that the name that the request says. True if no page made it. */
+ * of --public-url, or, without that option, of the request's host name. True if no page made it. */
 bool origin_is_own_page(const struct services *s, const struct request *r);
-/* Returns whether the request names the operators' listener by what no stranger can give to an
- * address of his own: a loopback name, an IP address, the host of --public-url, or the name of this
+/* Returns whether the request names the operators' listener by a name that no outsider can point at
+ * its address: a loopback name, an IP address, the host of --public-url, or the name of this
  * machine. A page whose own name leads to this machine (DNS rebinding) names itself. */
 bool origin_is_operators(const struct services *s, const struct request *r);
 

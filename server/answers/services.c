@@ -13,25 +13,8 @@
 
 #include "server/documents/api_page.h"
 #include "server/documents/collection.h"
-#include "server/documents/ogc_tiles.h"
 #include "server/documents/openapi.h"
 #include "server/documents/service_document.h"
-
-/* A template that a browser can ask with: another one would only show as an empty map. */
-static enum err_code services_check_basemap(const char *url, struct err *e)
-{
-    static const char *const parts[] = {"{z}", "{x}", "{y}"};
-    if (!url || !*url)
-        return ERR_OK;
-    bool fits = !strncmp(url, "https://", 8) || !strncmp(url, "http://", 7) || url[0] == '/';
-    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
-        fits &= strstr(url, parts[i]) != NULL;
-    return fits ? ERR_OK
-                : err_set(e, ERR_ARG,
-                          "--basemap %s: not an address of map tiles: give one that begins with "
-                          "https://, http:// or / and holds {z}, {x} and {y}",
-                          url);
-}
 
 /* Bytes of an option in MB, or the share of the plan. */
 static size_t services_share(int64_t mb, size_t share)
@@ -62,9 +45,7 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     enum { SIGN_IN_TRIES = 10, SIGN_IN_S = 60 };
     pthread_mutex_init(&s->catalog_lock, NULL);
     pthread_mutex_init(&s->sign_in_lock, NULL);
-    enum err_code rc = services_check_basemap(cfg->basemap, e);
-    if (!rc)
-        rc = rate_open((double)SIGN_IN_TRIES / SIGN_IN_S, SIGN_IN_S, &s->sign_in, e);
+    enum err_code rc = rate_open((double)SIGN_IN_TRIES / SIGN_IN_S, SIGN_IN_S, &s->sign_in, e);
     if (!rc)
         rc = router_open(routes, n, &s->routes, e);
     if (!rc)
@@ -87,15 +68,13 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = service_document_conformance(&s->conformance, e);
     if (!rc)
-        rc = ogc_tiles_matrices(&s->matrices, e);
-    if (!rc)
         rc = openapi_describe(s->routes, &s->api, e);
     if (!rc)
         rc = api_page_describe(s->api, &s->api_page, e);
     int64_t now_s = (int64_t)time(NULL); /* they are the program's, which may be another one now */
     if (!rc)
         s->landing->modified_s = s->conformance->modified_s = s->api->modified_s =
-            s->api_page->modified_s = s->matrices->modified_s = now_s;
+            s->api_page->modified_s = now_s;
     if (rc)
         (void)services_free(s);
     return rc;
@@ -121,7 +100,6 @@ bool services_free(struct services *s)
     metrics_free(&s->metrics);
     body_drop(&s->landing);
     body_drop(&s->conformance);
-    body_drop(&s->matrices);
     body_drop(&s->api);
     body_drop(&s->api_page);
     rate_close(&s->sign_in);
@@ -179,8 +157,7 @@ struct body *services_document(const struct services *s, struct dataset *d,
                                enum dataset_document which)
 {
     const struct server_config *cfg = s->cfg;
-    const struct collection_options o = {cfg->public_url, cfg->base_path, cfg->basemap,
-                                         cfg->basemap_attribution, (size_t)cfg->city_gaussians};
+    const struct collection_options o = {cfg->public_url, (size_t)cfg->city_gaussians};
     return catalog_document(d, which, &o);
 }
 

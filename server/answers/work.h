@@ -17,7 +17,7 @@ struct response;
 
 enum {                      /* properties of a kind, as bits */
        WORK_DRAWN = 1,      /* the process that draws makes it */
-       WORK_PICTURE = 2,    /* it is useful only to the clients that wait: job_config.passing */
+       WORK_PICTURE = 2,    /* useful only to waiting clients: see job_config.passing */
        WORK_ON_DISK = 4,    /* reading it from --cache-dir is quicker than making it */
        WORK_COMPRESSED = 8, /* gzip and Brotli are kept beside it */
        WORK_OF_STORE = 16,  /* its failures count as errors of the store */
@@ -50,7 +50,7 @@ struct work { /* freed with work_drop */
     struct hash128 id;  /* name of the result: cache key and job id */
     bool keep;          /* keep the result in the cache */
     bool may_lack;      /* ERR_NOENT is an answer, and no failure */
-    bool apart;         /* one of very many, as those of a polygon: disk_put */
+    bool apart;         /* one of very many results (polygons, parts): see disk_put */
     struct body *made;  /* body that is written to the disk after the waiters have it; NULL: none */
     max_align_t own[];  /* parameters of the kind */
 };

@@ -37,7 +37,7 @@ bool address_is_v4(struct address a);
 struct address address_client(const struct address_nets *trusted, struct address peer,
                               const char *const *forwarded, size_t n);
 /* A number for a client. For IPv6 it is that of the /64, which one household owns. The secret
- * prevents strangers from choosing two addresses with the same number. */
+ * prevents attackers from choosing two addresses with the same number. */
 uint64_t address_number(struct address a, struct hash128 secret);
 /* Writes "1.2.3.4" or "2001:db8::1"; "-": none. */
 void address_write(struct address a, char *out, size_t room);

@@ -1,5 +1,5 @@
-/* JSON documents as bodies. Links are relative, except those of ogc_tiles.h. The host that a client
- * used is never repeated, and the service works below any prefix of a proxy.
+/* JSON documents as bodies. Links are relative. The host that a client used is never
+ * repeated, and the service works below any prefix of a proxy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

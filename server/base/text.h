@@ -1,5 +1,5 @@
-/* Parses a request's target from left to right. A function that returns false has met other text.
- * The text t is then undefined, so the caller gives up or works on a copy.
+/* Parses a request's target from left to right. A function returns false if the text is not of its
+ * form. The text t is then undefined, so the caller gives up or works on a copy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -48,8 +48,9 @@ struct dataset { /* immutable except where a comment says otherwise; reference-c
     /* number of results that could not be read from its file: the file is damaged */
     _Atomic uint32_t n_failed;
     pthread_mutex_t lock; /* for what follows */
-    /* Handles: [n_stores] that are open, [n_free] that nobody has; n_begun: with those that are
-     * being opened, of n_most. A handle is opened when it is needed, or all by dataset_open_all. */
+    /* Handles: [n_stores] that are open, [n_free] that no thread borrows; n_begun: with those that
+     * are being opened, of n_most. A handle is opened when it is needed, or all by
+     * dataset_open_all. */
     struct store **stores, **free_store;
     size_t n_stores, n_free, n_begun, n_most;
 };

@@ -14,7 +14,7 @@
  * A format that is not quantised has one form. Only .drc has parts. */
 struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
                         const struct form *asked);
-/* A form of which only the format is said. */
+/* A form of which only the format is set. */
 struct form encode_form_of(enum format f);
 /* What the viewer draws first: its coarsest tile in the preset preview, without harmonics. */
 struct form encode_draft(void);

@@ -19,8 +19,8 @@ struct appearance_choice { /* {0} is the default appearance */
     struct hash128 hash;               /* of the embedding */
 };
 /* Finds the appearance that a text names (bake_find). "" and BAKE_DEFAULT name the default
- * appearance. In a dataset without appearances APPEARANCE_NONE names it as well. ERR_NOENT: there
- * is no such appearance.
+ * appearance. In a dataset without appearances APPEARANCE_NONE also names the default one.
+ * ERR_NOENT: there is no such appearance.
  * ERR_ARG: the text is invalid. */
 enum err_code appearance_api_find(const struct dataset *d, const char *text,
                                   struct appearance_choice *out, struct err *e) ERR_USE;

@@ -29,8 +29,7 @@
 
 static struct collection_options catalog_collection(const struct catalog_options *o)
 {
-    return (struct collection_options){o->public_url, o->base_path, o->basemap,
-                                       o->basemap_attribution, o->city_gaussians};
+    return (struct collection_options){o->public_url, o->city_gaussians};
 }
 
 static enum err_code catalog_make_tileset(struct dataset *d, enum tileset_links_of of,

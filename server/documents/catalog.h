@@ -11,7 +11,7 @@ struct collection_options;
 struct geoid;
 
 struct catalog_absent { /* a store that is asked for, and is not served as it is now */
-    char *path;         /* as it was asked for; log and documents show it by range_show */
+    char *path;         /* log and documents show it without secrets (range_show) */
     char why[256];      /* begins with the path */
     enum err_code code;
     double again_s, pause_s; /* by clock_s(): when it is tried again; the pause before that */
@@ -28,12 +28,9 @@ struct catalog { /* immutable, reference-counted; a reload makes a new one */
 struct catalog_options {
     size_t readers; /* handles for each dataset */
     bool lazy; /* there are many datasets: handles and documents are made when they are needed */
-    const char *public_url; /* for collections; NULL, "": none */
-    const char *base_path;  /* for collections; NULL, "": none */
-    double keep_s;          /* replaced revisions are served for this time */
-    size_t keep_revisions;  /* and at most this many of a dataset */
-    const char *basemap;    /* for the viewer's inset map, see collection_list */
-    const char *basemap_attribution;
+    const char *public_url;    /* for collections; NULL, "": none */
+    double keep_s;             /* replaced revisions are served for this time */
+    size_t keep_revisions;     /* and at most this many of a dataset */
     size_t city_gaussians;     /* for collections */
     unsigned preset;           /* of tiles whose address names none: enum quant_preset */
     const struct geoid *geoid; /* turns heights above the sea into ellipsoidal ones; NULL: none */
@@ -48,11 +45,11 @@ struct catalog_place {
     struct dataset *ds; /* the store there, a reference; NULL: none, and `why` says why not */
     struct err why;
 };
-/* Lists the places of stores: the arguments [n] in their order, each once, and in place of a
- * folder its files NAME.tiles, sorted. What is strange stays in the list: catalog_look says what
- * is wrong. Of a folder that cannot be read, the places stay that `older` (may be NULL) has of it.
- * Paths live in the arena. *folders: how many folders are among the arguments. ERR_FORMAT: a
- * folder is a scene. ERR_MEM. */
+/* Lists the places of stores: the arguments [n] in their order, each once, and in place of a folder
+ * its files NAME.tiles, sorted. Invalid entries stay in the list, and catalog_look says what is
+ * wrong. Of a folder that cannot be read, the places stay that `older` (may be NULL) has of it.
+ * Paths live in the arena. *folders: how many folders are among the arguments. ERR_FORMAT: a folder
+ * is a scene. ERR_MEM. */
 enum err_code catalog_list(const char *const *args, size_t n, const struct catalog *older,
                            struct arena *a, struct catalog_place **out, size_t *n_out,
                            size_t *folders, struct err *e) ERR_USE;

@@ -13,7 +13,6 @@
 #include "server/data/encode.h"
 #include "server/documents/home_outline.h"
 #include "server/documents/link.h"
-#include "server/documents/ogc_tiles.h"
 #include "server/documents/social_preview.h"
 
 struct collection_link {
@@ -67,27 +66,19 @@ static void collection_add_files(const struct dataset *d, const char *up, size_t
     }
 }
 
-static void collection_add_maps(const struct dataset *d, const char *up,
-                                const struct collection_options *opt, json_t *links)
+static void collection_add_maps(const struct dataset *d, const char *up, json_t *links)
 {
-    const char *base = ogc_tiles_base(opt->public_url, opt->base_path);
     static const struct collection_link maps[] = {
         {"tiles", "application/json", "Map from straight above: TileJSON 3.0.0", link_mapjson},
         {"tiles", "application/json", "Terrain, heights as pictures: TileJSON", link_terrainjson},
         {"stylesheet", "application/json", "Map on its terrain: style of MapLibre", link_style},
         {"tiles", "application/xml", "Map from straight above: WMTS capabilities", link_wmts},
     };
-    const struct collection_link tilesets = {"http://www.opengis.net/def/rel/ogc/1.0/tilesets-map",
-                                             "application/json", "Map: OGC API - Tiles",
-                                             link_map_tilesets};
     for (size_t i = 0; d->area.in && i < sizeof maps / sizeof *maps; i++)
         collection_add(d, up, &maps[i], links);
-    if (d->area.in)
-        collection_add(d, base ? base : "", &tilesets, links);
 }
 
-/* Two boxes: that of the ground, in four numbers, which is all that GDAL 3.6 takes, and of what is
- * in it, with heights. */
+/* Two boxes: that of the ground, in four numbers, and of what is in it, with heights. */
 static void collection_add_extents(const struct dataset *d, json_t *o)
 {
     const double *b = d->bbox, ground[4] = {b[0], b[1], b[3], b[4]};
@@ -149,7 +140,7 @@ static json_t *collection_json(const struct dataset *d, const char *up,
     collection_add(d, url && *url ? url : up, &self, links);
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         collection_add(d, up, &rows[i], links);
-    collection_add_maps(d, up, opt, links);
+    collection_add_maps(d, up, links);
     collection_add_preview(d, up, links);
     collection_add_files(d, up, opt->city_gaussians, links);
     for (size_t i = 0; d->appearance && i < sizeof appearance / sizeof *appearance; i++)
@@ -189,9 +180,5 @@ enum err_code collection_list(struct dataset *const *ds, size_t n,
     json_t *o =
         json_pack("{s:[o],s:o}", "links",
                   document_link("self", "application/json", self, "Datasets"), "collections", list);
-    if (opt->basemap && *opt->basemap)
-        json_object_set_new(o, "basemap",
-                            json_pack("{s:s,s:s}", "tiles", opt->basemap, "attribution",
-                                      opt->attribution ? opt->attribution : ""));
     return document_make(o, out, e);
 }

@@ -9,16 +9,10 @@
 
 struct collection_options {
     const char *public_url; /* address of the service as clients see it; NULL, "": not known */
-    const char *base_path;  /* path of the service on its host; NULL, "": none */
-    /* map tiles of another provider that the viewer may show below its own: a URL with {z}, {x} and
-     * {y}; NULL, "": none */
-    const char *basemap;
-    const char *attribution; /* attribution of that map; NULL: none */
-    size_t city_gaussians;   /* most that the server writes into one file */
+    size_t city_gaussians;  /* most that the server writes into one file */
 };
 
-/* Describes a dataset. With a public_url, `self` and the link to the map's tilesets are absolute.
- * Without one, `self` is relative to the document, and that link begins with '/' (ogc_tiles.h).
+/* Describes a dataset. `self` is absolute with a public_url, else relative to the document.
  * ERR_MEM. */
 enum err_code collection_describe(const struct dataset *d, const struct collection_options *opt,
                                   struct body **out, struct err *e) ERR_USE;

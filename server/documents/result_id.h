@@ -12,7 +12,7 @@
 #include "server/documents/appearance_api.h"
 #include "server/route/target.h"
 
-/* Makes *id the name of the same thing in an appearance. */
+/* Makes *id the name of the same result in an appearance. */
 void result_id_mix(struct hash128 *id, const struct appearance_choice *a);
 /* Writes an edition: a short hash of a name [n]. */
 void result_id_edition(const void *name, size_t n, char out[9]);

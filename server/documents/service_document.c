@@ -44,11 +44,6 @@ enum err_code service_document_conformance(struct body **out, struct err *e)
         "http://www.opengis.net/spec/ogcapi-common-1/1.0/conf/oas30",
         "http://www.opengis.net/spec/ogcapi-common-2/1.0/conf/collections",
         "http://www.opengis.net/spec/ogcapi-common-2/1.0/conf/json",
-        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/core",
-        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/tileset",
-        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/tilesets-list",
-        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/png",
-        "http://www.opengis.net/spec/ogcapi-tiles-1/1.0/conf/jpeg",
         "https://www.opengis.net/spec/ogcapi-geovolumes-1/1.0/conf/core",
         "https://www.opengis.net/spec/ogcapi-geovolumes-1/1.0/conf/3d-tiles",
     };

@@ -23,8 +23,8 @@ struct composite_planes {
 bool composite_needs_transmittance(const struct composite *p);
 bool composite_needs_depth(const struct composite *p, enum format f);
 /* Chooses the supersampling of a picture with px pixels, if the request does not. `supersample` is
- * the requested value; 0: as suits the view. It is lowered so that at most most_px pixels are
- * drawn. For depth it is 1, because depth is that of a pixel's middle. */
+ * the requested factor; 0: as suits the view. A larger factor is lowered so that at most most_px
+ * pixels are drawn. For depth the factor is 1, because depth is that of a pixel's middle. */
 void composite_settle(struct composite *p, enum format f, uint32_t supersample, double px,
                       double most_px);
 /* Checks whether a format can hold the picture. ERR_DATA: it cannot; the message says what to

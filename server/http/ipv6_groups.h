@@ -12,7 +12,7 @@ struct ipv6_groups; /* thread-safe */
 enum { IPV6_GROUPS_MOST = 8 /* most parts of a network that are clients of their own at a time */ };
 enum { IPV6_GROUPS_S = 60 /* how long a part counts after its last request */ };
 
-/* secret: strangers who do not know it cannot choose networks that share a place in the table.
+/* secret: attackers who do not know it cannot choose networks that share a place in the table.
  * ERR_MEM. */
 enum err_code ipv6_groups_open(struct hash128 secret, struct ipv6_groups **out,
                                struct err *e) ERR_USE;

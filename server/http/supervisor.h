@@ -14,7 +14,7 @@
 int supervisor_socket(const char *name);
 void supervisor_ready(const char *status);
 void supervisor_reloading(void);
-/* The last thing that is said: what a reload says later is not sent. */
+/* The last message: the status of a later reload is not sent. */
 void supervisor_stopping(void);
 /* Interval in seconds at which the supervisor expects supervisor_well(); 0: never. */
 double supervisor_watchdog_s(void);

@@ -18,7 +18,7 @@ struct tls_pair; /* a certificate with its chain, and its key */
 
 /* Reads both files (PEM). Call tls_close after the connections. ERR_ARG: one of the two is not
  * given, or other users may read the key. ERR_NOENT, ERR_IO. ERR_FORMAT: a file is invalid.
- * ERR_DATA: they do not belong together. ERR_MEM. */
+ * ERR_DATA: certificate and key do not belong together. ERR_MEM. */
 enum err_code tls_open(const char *cert_path, const char *key_path, struct tls **out,
                        struct err *e) ERR_USE;
 void tls_close(struct tls **t);

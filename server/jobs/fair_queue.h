@@ -29,11 +29,12 @@ struct fair_queue_item *fair_queue_first(struct fair_queue *q);
 struct fair_queue_item *fair_queue_first_below(struct fair_queue *q, double ms);
 /* Returns whether `client`, which has no item in the queue, would be served next if it had one. */
 bool fair_queue_is_due(struct fair_queue *q, uint64_t client);
-/* Removes an item that fair_queue_first or fair_queue_first_below returned. Its client's time goes
- * on. */
+/* Removes an item that fair_queue_first or fair_queue_first_below returned, and advances the clock
+ * of its client by the predicted time. */
 void fair_queue_take(struct fair_queue *q, struct fair_queue_item *it);
-/* Removes and returns the next item. It belongs to the client that had least time, counted from
- * when it began to wait. NULL: the queue is empty. */
+/* Removes and returns the next item: that of the client with the least clock. A client's clock is
+ * the time that it had; when it begins to wait, it is set forward to that of the client served
+ * last. NULL: the queue is empty. */
 struct fair_queue_item *fair_queue_next(struct fair_queue *q);
 /* Chooses the item to shed when `client` wants to add one to a full queue. The item stays in the
  * queue; NULL means that the new item is refused. It is an item of the client with most items, the

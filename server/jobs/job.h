@@ -74,7 +74,7 @@ struct job_config {
     double slow_s;
     void *user;
     /* Makes the body of `work`. It should call job_cancelled where that is cheap. Tile threads pass
-     * worker 0..n-1, those that draw and the one for errands the numbers behind. */
+     * worker 0..n-1, those that draw and the one for errands the next numbers. */
     enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
                          struct body **out, struct err *e);
     void (*drop)(void *user, void *work); /* frees the work */

@@ -5,14 +5,13 @@
  * (fair_queue.c), and queues of one thread have equal parts of its time. What work takes is learned
  * (cost.c). Work is refused if it would wait longer than its deadline. Queues are limited as well:
  * if one is full, the client with most items in it loses one. New work takes one of its client's
- * tokens (rate.c). A request that joins a job takes no token. A prefetched tile that moves up takes
- * none either. Prefetched tiles run when nothing else does, and move up when a client requests
- * them.
+ * tokens (rate.c). Requests that join a job and prefetched tiles that move up take none. Prefetched
+ * tiles run when nothing else does, and move up when a client requests them.
  *
  * A stream asks for its next picture when the one before was sent. Long work of other clients would
  * begin in each such gap, and take nearly all the time. So if the stream that was drawn last has
  * had less than its part of the time, the thread that draws waits a moment for its next picture
- * before it begins long work. Where several draw, one of them is left to what is quick instead
+ * before it begins long work. Where several draw, one of them is kept free for quick work instead
  * (job_run.c).
  *
  * One mutex guards everything. Of all callbacks only cfg.passing and cfg.cost are called with it
@@ -77,12 +76,14 @@ struct jobs { /* `lock` guards all except cfg */
     struct failures failures;
     struct cost cost;
     double quick_s; /* when quick work was last asked for: JOB_TILE that is not slow */
-    /* Of what is drawn: when quick work was last asked for, and the quickest of it. What takes
-     * several times as long is long for the others, however slow the machine is now. */
+    /* For the threads that draw: when quick work was last requested, and the time of the quickest.
+     * Work that takes several times as long counts as long, so a slow machine does not change what
+     * is long. */
     double quick_drawn_s, quickest_ms;
     size_t long_drawn; /* long work that is being drawn */
-    /* Time that each class had, counted from when it begins to wait. Classes of one thread have
-     * equal parts. now_ms: clock of the class that was served last, by duty. */
+    /* Virtual clock of each class: thread time that it used; a class that begins to wait starts at
+     * now_ms at least. The class with the least clock is next. now_ms, of each duty: clock of the
+     * class that was served last, before that. */
     double class_ms[JOB_CLASSES], now_ms[JOB_DUTIES];
     /* The stream that was drawn last, and when. Its next picture is asked for in a moment. */
     uint64_t stream;
@@ -101,7 +102,7 @@ void job_table_remove(struct jobs *js, struct job *j);
 struct job *job_at(struct fair_queue_item *it); /* NULL: `it` is NULL */
 enum job_duty job_duty_of(enum job_class cls);
 bool job_is_drawn(enum job_class cls);
-/* Of what is drawn: work that is predicted to take so long is left to the other threads. */
+/* Predicted time from which work that is drawn counts as long: one thread does not take it. */
 double job_long_ms(const struct jobs *js);
 void job_queue_add(struct jobs *js, struct job *j, uint64_t client);
 /* Takes *p off its job and adds it to the caller's list. */

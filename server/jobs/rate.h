@@ -1,4 +1,4 @@
-/* Limits how many things a second a client may request: token buckets.
+/* Limits how many requests a second a client may make: token buckets.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,7 +7,7 @@
 
 #include "core/base.h"
 
-struct rate; /* for one kind of thing; the caller holds the lock */
+struct rate; /* for one kind of request; the caller holds the lock */
 
 /* Allows per_s on average over burst_s seconds; 0: no limit. ERR_MEM. */
 enum err_code rate_open(double per_s, double burst_s, struct rate **out, struct err *e) ERR_USE;

@@ -1,8 +1,8 @@
 /* A request target (RFC 9112, section 3.2) as integers and enums, as router.c parses it.
  *
  * Parameters that belong together are a group. A row of routes.def says which groups its route
- * takes. Its target, struct NAME_target, has these behind what all targets have, and no other, so
- * an answer sees the parameters of its own route alone.
+ * takes. The target of route NAME is a struct NAME_target. It has the members that all targets
+ * have, then these groups and no others, so an answer sees only the parameters of its own route.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -58,8 +58,7 @@ struct form { /* of a tile; for quantised formats (.glb .spz .drc) preset and de
     uint8_t part;      /* of .drc: 1 or 2 (codec/splat/part.h); 0: all of it */
     bool trained;      /* trained colours without an appearance; never set by the parser */
 };
-/* A polygon that does not cross itself, in its only spelling, so that equal polygons are equal
- * bytes. */
+/* A polygon that does not cross itself, in canonical form: equal polygons are equal bytes. */
 struct target_clip {
     uint32_t n; /* number of corners; 0: not given */
     int32_t corner_e7[TARGET_CLIP_CORNERS][2];
@@ -140,7 +139,7 @@ struct target_stream {
     char name[64];
     uint8_t video; /* 1: VP9; 0: separate pictures */
 };
-/* row: number of a photograph, and a part of it. */
+/* row: number of a photograph; column and row of a part of it. */
 struct target_row {
     uint32_t row, column, line;
 };

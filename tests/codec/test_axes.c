@@ -71,7 +71,6 @@ static void normalise(struct gauss *g)
 /* Colours seen along 50 directions, and where each ellipsoid's axes point. */
 static void test_looks_the_same(void **state)
 {
-    (void)state;
     for (uint32_t degree = 0; degree <= 3; degree++) {
         struct gauss a, b = {0};
         struct err e = {0};
@@ -113,7 +112,6 @@ static void test_looks_the_same(void **state)
 
 static void test_there_and_back(void **state)
 {
-    (void)state;
     struct gauss a, b = {0};
     struct err e = {0};
     kit_gauss(8, 50, 3, 3, 0, &a);
@@ -136,7 +134,6 @@ static void test_there_and_back(void **state)
  * in glTF axes; coefficient 0 is bright along -y, 1 along +z, 2 along -x, and 128 elsewhere. */
 static void test_single_coefficients_from_six_directions(void **state)
 {
-    (void)state;
     for (int coef = 0; coef < 3; coef++) {
         float sh[12] = {0};
         sh[3 * (1 + coef)] = 0.9f;
@@ -175,7 +172,6 @@ static void test_single_coefficients_from_six_directions(void **state)
 /* A rotation matrix by Euler's angles, and the same turned vectors and colours. */
 static void test_any_turn(void **state)
 {
-    (void)state;
     static const double angles[][3] = {
         {0.3, 1.1, -2}, {2.5, 3.1, 0.4}, {0.7, 0, 0.9}, {0.2, 3.14159265358979, 1}, {-1, -0.8, 0}};
     for (size_t t = 0; t < sizeof angles / sizeof *angles; t++) {

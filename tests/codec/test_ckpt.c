@@ -63,7 +63,6 @@ static void assert_same_gauss(const struct gauss *a, const struct gauss *b)
 
 static void round_trip_is_exact_and_blobs_are_aligned(void **state)
 {
-    (void)state;
     for (size_t n = 0; n <= 1000; n += 500) {
         struct fixture f;
         struct err e = {0};
@@ -105,7 +104,6 @@ static enum err_code decode_file(const void *user, const void *bytes, size_t n,
 
 static void every_cut_and_every_flipped_byte_is_noticed(void **state)
 {
-    (void)state;
     struct fixture f;
     struct err e = {0};
     struct buf whole = {0};
@@ -154,7 +152,6 @@ static enum err_code give_rows(void *user, enum ckpt_field field, size_t first, 
 /* A blob that is written and read in pieces: a byte of the last that has changed is noticed. */
 static void large_blobs_go_in_pieces(void **state)
 {
-    (void)state;
     enum { BYTES = (9 << 20) + 77 };
     struct err e = {0};
     struct fixture f;
@@ -185,7 +182,6 @@ static void large_blobs_go_in_pieces(void **state)
  * the widest of them. */
 static void slices_make_the_same_file(void **state)
 {
-    (void)state;
     enum { ROWS = 10001 }; /* more than one slice, and no whole number of them */
     struct err e = {0};
     struct gauss g = {0}, like;
@@ -227,7 +223,6 @@ static void slices_make_the_same_file(void **state)
 
 static void foreign_files_are_refused_by_name(void **state)
 {
-    (void)state;
     struct fixture f;
     struct err e = {0};
     struct ckpt c;
@@ -240,7 +235,6 @@ static void foreign_files_are_refused_by_name(void **state)
 
 static void a_failed_write_leaves_the_old_file_alone(void **state)
 {
-    (void)state;
     struct fixture f;
     struct err e = {0};
     struct ckpt c;
@@ -263,7 +257,6 @@ static void a_failed_write_leaves_the_old_file_alone(void **state)
 
 static void running_out_of_memory_is_an_error_and_nothing_leaks(void **state)
 {
-    (void)state;
     struct fixture f;
     struct err e = {0};
     fixture_make(&f, 3, 0);
@@ -293,7 +286,6 @@ static void running_out_of_memory_is_an_error_and_nothing_leaks(void **state)
 /* Slices put together are the whole, and opening finds what reading the whole would find. */
 static void slices_are_the_whole(void **state)
 {
-    (void)state;
     struct fixture f;
     struct err e = {0};
     struct ckpt_rows *r = NULL;

@@ -143,7 +143,6 @@ static void write_text(const char *dir, const struct colmap_model *m)
 
 static void test_round_trip(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], sub[FILE_PATH_MAX + 32];
     struct colmap_model m = {0}, bin = {0}, txt = {0};
     struct err e = {0};
@@ -205,7 +204,6 @@ static enum err_code decode_part(const void *user, const void *bytes, size_t n,
  * changed: that, or a model. */
 static void test_truncation(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     struct colmap_model m = {0};
     struct err e = {0};
@@ -238,7 +236,6 @@ static void test_truncation(void **state)
  * crash. */
 static void test_cut_texts(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], txt[FILE_PATH_MAX + 8];
     struct colmap_model m = {0};
     struct err e = {0};
@@ -267,7 +264,6 @@ static void test_cut_texts(void **state)
 
 static void test_named_errors(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     struct colmap_model m = {0}, out;
     struct err e = {0};
@@ -317,7 +313,6 @@ static void test_named_errors(void **state)
 /* Poses alone: other programs leave out the lines of observations, and begin with a mark. */
 static void test_no_observations(void **state)
 {
-    (void)state;
     static const char images[] =
         "\xef\xbb\xbf# ID, QW...\n1 1 0 0 0 0 0 0 3 001.jpg\n2 1 0 0 0 0 0 0 3 b 2.jpg\n\n"
         "4 1 0 0 0 1 2 3 3 c.jpg";
@@ -342,7 +337,6 @@ static void test_no_observations(void **state)
 /* Points that are nowhere are left out, and nobody sees them. */
 static void test_points_that_are_nowhere(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     struct colmap_model m = {0}, out;
     struct err e = {0};
@@ -387,7 +381,6 @@ static void test_points_that_are_nowhere(void **state)
 /* COLMAP writes -1 for an error that was not computed, other programs NaN. */
 static void test_unknown_errors(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     struct colmap_model m = {0}, out;
     struct err e = {0};
@@ -429,7 +422,6 @@ static void test_unknown_errors(void **state)
  * photograph needs them. */
 static void test_newer_models(void **state)
 {
-    (void)state;
     static const char last[] = "8 FISHEYE 320 240 250 251 160 120\n";
     static const struct {
         const char *line, *says;
@@ -465,7 +457,6 @@ static void test_newer_models(void **state)
 
 static void test_out_of_memory(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     struct colmap_model m = {0}, out;
     struct err e = {0};

@@ -74,7 +74,6 @@ static void expect_same_file(const char *a, const char *b)
 
 static void test_integers_pass_untouched(void **state)
 {
-    (void)state;
     struct gauss g;
     kit_gauss(1, 300, 500, 3, 0, &g);
     save_ply("a.ply", &g, NULL);
@@ -91,7 +90,6 @@ static void test_integers_pass_untouched(void **state)
  * height. */
 static void test_an_f_stays_an_f(void **state)
 {
-    (void)state;
     static const float f[5][3] = {{0, 0, 1}, {0, 50, 2}, {30, 50, 3}, {0, 25, 4}, {20, 25, 5}};
     struct gauss g = {0}, back;
     struct quant q;
@@ -133,7 +131,6 @@ static void test_an_f_stays_an_f(void **state)
 /* A file that does not say its axes is not turned, unless the user says. */
 static void test_axes_are_never_guessed(void **state)
 {
-    (void)state;
     struct gauss g, as_is, turned;
     struct ply_info info = {.axes = PLY_AXES_UNKNOWN};
     struct buf said = {0};
@@ -162,7 +159,6 @@ static void test_axes_are_never_guessed(void **state)
 
 static void test_degree_and_center(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct buf said = {0};
     kit_gauss(3, 60, 100, 3, 0, &g);
@@ -185,7 +181,6 @@ static void test_degree_and_center(void **state)
 
 static void test_reads_splat(void **state)
 {
-    (void)state;
     struct buf b = {0};
     struct gauss g;
     for (int i = 0; i < 2; i++) {
@@ -244,7 +239,6 @@ static size_t contents(const char *name, struct quant *q)
  * formats of integers no integer changes. */
 static void test_every_format_into_every_other(void **state)
 {
-    (void)state;
     enum { N = 40, IN = 7, OUT = 6 };
     static const char *const in[IN] = {"m.ply",    "m3.spz",  "m4.spz", "m.drc",
                                        "mspz.glb", "mpl.glb", "m.splat"};
@@ -295,7 +289,6 @@ static void test_every_format_into_every_other(void **state)
 
 static void test_errors(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf said = {0}, b = {0};
     kit_gauss(4, 30, 100, 1, 0, &g);

@@ -16,7 +16,6 @@
 
 static void test_round_trip_is_exact(void **state)
 {
-    (void)state;
     static const size_t counts[] = {1, 2, 700};
     for (uint32_t i = 0; i < 24; i++) {
         struct gauss g;
@@ -48,7 +47,6 @@ static void test_round_trip_is_exact(void **state)
  */
 static void test_agrees_with_spz_in_every_preset(void **state)
 {
-    (void)state;
     for (int i = 0; i < 4 * QUANT_PRESETS; i++) {
         struct gauss g;
         struct quant q, by_spz, by_spz4, by_glb, by_draco;
@@ -104,7 +102,6 @@ static void trained_like(size_t n, struct gauss *g)
 /* The reason for a .drc: the same picture in 0.85 of the bytes or fewer. */
 static void test_is_smaller_than_spz(void **state)
 {
-    (void)state;
     struct gauss g;
     struct err e = {0};
     trained_like(20000, &g);
@@ -127,7 +124,6 @@ static void test_is_smaller_than_spz(void **state)
 /* SH bytes of foreign .spz files may lie between our buckets, and must not be lost. */
 static void test_foreign_sh_bytes(void **state)
 {
-    (void)state;
     struct quant q, back;
     struct buf b = {0};
     struct err e = {0};
@@ -169,7 +165,6 @@ static void sample(size_t n, uint32_t degree, struct buf *b)
 
 static void test_truncation(void **state)
 {
-    (void)state;
     struct buf b = {0};
     sample(30, 1, &b);
     torture_cuts(&torture, &b, 1);
@@ -178,7 +173,6 @@ static void test_truncation(void **state)
 
 static void test_flips(void **state)
 {
-    (void)state;
     struct buf b = {0};
     sample(60, 2, &b);
     torture_flips(&torture, &b, 0, 4, 2000);
@@ -200,7 +194,6 @@ static size_t find_count(const struct buf *b, uint32_t n)
 
 static void test_hostile_counts(void **state)
 {
-    (void)state;
     struct buf b = {0};
     struct err e = {0};
     sample(7777, 0, &b);
@@ -225,7 +218,6 @@ static void test_hostile_counts(void **state)
 
 static void test_other_draco_files(void **state)
 {
-    (void)state;
     struct buf b = {0};
     struct err e = {0};
     sample(20, 0, &b);

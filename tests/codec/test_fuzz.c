@@ -85,7 +85,6 @@ static void lines_are_bytes(void **state)
 {
     static const char text[] = "a \\x00\\x5c\\xff\n\nlast\\x20\n";
     struct buf corpus = {0}, input = {0};
-    (void)state;
     buf_add(&corpus, text, sizeof text - 1);
     size_t at = fuzz_corpus_line(&corpus, 0, &input);
     assert_int_equal(input.size, 5);

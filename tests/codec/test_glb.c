@@ -130,7 +130,6 @@ static void expect_container(const struct buf *b, json_t *root, json_t *prim, si
 
 static void test_spz_form_follows_the_clients(void **state)
 {
-    (void)state;
     for (uint32_t degree = 0; degree <= 3; degree++) {
         struct gauss g, back;
         struct quant q;
@@ -266,7 +265,6 @@ static void expect_linear_values(const struct buf *b, json_t *root, json_t *prim
 
 static void test_plain_form(void **state)
 {
-    (void)state;
     for (uint32_t degree = 0; degree <= 3; degree++) {
         struct gauss g, back;
         struct buf b = {0};
@@ -322,7 +320,6 @@ static void test_plain_form(void **state)
 /* Two Gaussians whose attributes are quantised as KHR_mesh_quantization and the extension allow. */
 static void test_reads_short_and_byte_accessors(void **state)
 {
-    (void)state;
     static const char json[] =
         "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{"
         "\"mesh\":0}],"
@@ -404,7 +401,6 @@ static const struct torture torture = {.name = "glb",
 
 static void test_truncation_and_flips(void **state)
 {
-    (void)state;
     for (int plain = 0; plain < 2; plain++) {
         struct gauss g;
         struct quant q;
@@ -425,7 +421,6 @@ static void test_truncation_and_flips(void **state)
 
 static void test_refuses_what_cannot_be_written(void **state)
 {
-    (void)state;
     struct gauss g;
     struct quant q = {0};
     struct buf b = {0};
@@ -551,7 +546,6 @@ static void stands_as(const struct buf *b, const struct gauss *plain, size_t k)
 /* Nodes turn, move and scale; a mesh may stand in several; all primitives are read. */
 static void test_nodes_are_applied(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -575,7 +569,6 @@ static void test_nodes_are_applied(void **state)
 /* What cannot be applied is an error that names it. */
 static void test_misplaced_nodes_are_named(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct quant q = {0};
     struct buf b = {0}, out = {0};
@@ -606,7 +599,6 @@ static void test_misplaced_nodes_are_named(void **state)
 /* Colours in linear light: 0.2 of it is 0.4845 of sRGB. */
 static void test_linear_colours_become_srgb(void **state)
 {
-    (void)state;
     const float dc = (0.2f - 0.5f) / (float)GAUSS_SH_C0;
     struct gauss g, back;
     struct buf b = {0}, out = {0};

@@ -46,7 +46,6 @@ static struct image picture(uint32_t w, uint32_t h, uint32_t channels)
 
 static void test_write_read(void **state)
 {
-    (void)state;
     /* largest mean absolute difference: lossless, or what quality 95 does to a smooth picture */
     static const struct {
         const char *name;
@@ -74,7 +73,6 @@ static void test_write_read(void **state)
 
 static void test_encode_is_deterministic(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image img = picture(64, 48, 3);
     for (const char *const *f = (const char *const[]){"jpg", "png", "webp", NULL}; *f; f++) {
@@ -94,7 +92,6 @@ static void test_encode_is_deterministic(void **state)
 
 static void test_quality_decides_chroma_and_size(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image img = picture(128, 128, 3);
     struct buf lo = {0}, hi = {0};
@@ -121,7 +118,6 @@ static void test_jpegs_are_openimageios(void **state)
     } kinds[] = {{37, 23, 3, 90}, {64, 48, 3, 97}, {33, 17, 1, 80}, {1, 1, 3, 1}};
     struct err e = {0};
     struct buf out = {0};
-    (void)state;
     if (kit_run(&out, "command -v oiiotool"))
         skip();
     buf_free(&out);
@@ -155,7 +151,6 @@ static void test_jpegs_are_openimageios(void **state)
 
 static void test_grey_is_expanded(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image img = picture(20, 10, 1), back;
     kit_ok(image_write(in_tmp("grey.png"), &img, 0, NULL, &e), e);
@@ -182,7 +177,6 @@ static void png_chunk(struct buf *b, const char *type, const uint8_t *data, size
 /* Colours under a low alpha must come back as stored: drone masks are often transparent. */
 static void test_alpha_is_dropped_not_multiplied(void **state)
 {
-    (void)state;
     static const uint8_t head[] = {0, 0, 0, 1, 0, 0, 0, 1, 8, 6, 0, 0, 0};
     static const uint8_t row[] = {0, 200, 100, 50, 10};
     uint8_t z[64];
@@ -221,7 +215,6 @@ static void expect_gps(const struct image_gps *got, const struct image_gps *want
 
 static void test_exif_round_trip(void **state)
 {
-    (void)state;
     static const struct image_gps all[] = {
         {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100,
          24, false, false, false},
@@ -253,7 +246,6 @@ static void test_exif_round_trip(void **state)
 /* Every chunk's check sum is right, also of the last, which is empty: QGIS refuses others. */
 static void test_png_chunks(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct buf b = {0};
     struct image img = picture(33, 17, 3);
@@ -280,7 +272,6 @@ static void test_png_chunks(void **state)
 /* Readers take the first or the last of several. */
 static void test_one_exif(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct buf b = {0};
     const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false, false};
@@ -297,7 +288,6 @@ static void test_one_exif(void **state)
 
 static void test_no_exif(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image_gps got;
     struct image img = picture(8, 8, 3);
@@ -333,7 +323,6 @@ static void be_entry(struct buf *b, unsigned tag, unsigned type, uint32_t count,
  * write. */
 static void test_exif_big_endian_decimal_degrees(void **state)
 {
-    (void)state;
     struct buf b = {0};
     buf_add(&b, "MM\0*", 4);
     be32(&b, 8);
@@ -379,7 +368,6 @@ static void test_exif_big_endian_decimal_degrees(void **state)
  * a fraction that the next number repeats, altitudes from the ellipsoid. */
 static void test_exif_odd_numbers(void **state)
 {
-    (void)state;
     enum { BYTE = 1, ASCII, LONG = 4, RATIONAL, SLONG = 9, SRATIONAL, FLOAT, DOUBLE };
     static const struct {
         char north, east;
@@ -475,7 +463,6 @@ static void test_exif_odd_numbers(void **state)
 /* Random bytes over good files: nothing may be read out of bounds, and angles stay angles. */
 static void test_exif_survives_flips(void **state)
 {
-    (void)state;
     static const struct image_gps gps = {true, true, 12.5, -7.25, 90,    "2026:05:17 10:20:30",
                                          0.01, 100,  8,    false, false, false};
     struct err e = {0};
@@ -503,7 +490,6 @@ static void test_exif_survives_flips(void **state)
 
 static void test_bad_files(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image img, pic = picture(160, 120, 3);
     kit_fails(image_read(in_tmp("missing.jpg"), NULL, &img, &e), ERR_NOENT, e, "missing.jpg");
@@ -520,7 +506,6 @@ static void test_bad_files(void **state)
 
 static void test_truncated(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image img, pic = picture(160, 120, 3);
     for (const char *const *f = (const char *const[]){"t.jpg", "t.png", "t.webp", "t.tif", NULL};
@@ -539,7 +524,6 @@ static void test_truncated(void **state)
 
 static void test_resize(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct image img = picture(160, 120, 3), half, flat;
     kit_ok(image_resize(&img, 80, 60, &half, &e), e);
@@ -576,7 +560,6 @@ static void test_resize(void **state)
 
 static void test_npy(void **state)
 {
-    (void)state;
     static const float data[6] = {1, -2.5f, 3e-8f, 4, 5, -0.0f};
     struct err e = {0};
     size_t shape[2] = {2, 3}, got[2] = {0};

@@ -237,7 +237,6 @@ static void expect_point(const struct city *c, const struct odm_project *p, size
 
 static void test_exact_poses(void **state)
 {
-    (void)state;
     for (int distorted = 0; distorted < 2; distorted++) {
         char dir[FILE_PATH_MAX], sfm[FILE_PATH_MAX];
         struct city *c = mem_array(1, sizeof *c);
@@ -267,7 +266,6 @@ static void test_exact_poses(void **state)
 /* Without tracks.csv: what is computed is mostly what there is. */
 static void test_computed_tracks(void **state)
 {
-    (void)state;
     static const double least_found = 0.9, least_right = 0.8; /* measured: 1.01 and 0.89 */
     char dir[FILE_PATH_MAX];
     struct city *c = mem_array(1, sizeof *c);
@@ -315,7 +313,6 @@ static void opensfm_pixel(const char *type, const double *k, double x, double y,
 /* Every type of camera that is taken projects as OpenSfM's does. */
 static void test_camera_models(void **state)
 {
-    (void)state;
     /* k1 k2 k3 k4 p1 p2 fx fy cx cy */
     static const struct {
         const char *type, *json;
@@ -398,7 +395,6 @@ static json_t *geojson_of(const struct city *c, const double shift[3])
 /* shots.geojson as the only file with poses, and as the one that says where a project in UTM is. */
 static void test_shots(void **state)
 {
-    (void)state;
     static const double utm[3] = {634000.25, 5268000.5, 0}; /* grid axes taken as east and north */
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct city *c = mem_array(1, sizeof *c);
@@ -472,7 +468,6 @@ static void put_changed(const char *path, const char *from, const char *to)
 
 static void test_broken_files(void **state)
 {
-    (void)state;
     static const struct {
         const char *from, *to, *says;
         enum err_code code;
@@ -563,7 +558,6 @@ static void expect_tracks(const char *dir, const char *text, const char *says, s
 
 static void test_broken_tracks(void **state)
 {
-    (void)state;
     static const char seen[] = "a.jpg\t7\t1\t0.1\t0.2\nb.jpg\t7\t1\t0.1\t0.2";
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct err e = {0};
@@ -590,7 +584,6 @@ static void test_broken_tracks(void **state)
 /* Photographs of a city through the command and ingest: the scene has the exact cameras. */
 static void test_to_a_scene(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], sfm[FILE_PATH_MAX], scene[FILE_PATH_MAX];
     const char *bin = kit_program();
     struct city *c = mem_array(1, sizeof *c);

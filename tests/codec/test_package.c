@@ -32,7 +32,6 @@ static void content(size_t i, struct buf *b)
 static int setup(void **state)
 {
     struct err e = {0};
-    (void)state;
     kit_tmpdir(f.dir);
     kit_ok(file_join(f.out, f.dir, "city.3tz", &e), e);
     for (size_t i = 0; i < FILES; i++) {
@@ -52,7 +51,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     arena_free(&f.arena);
     kit_rmdir(f.dir);
     return 0;
@@ -101,7 +99,6 @@ static void test_index(void **state)
     struct err e = {0};
     struct buf zip = {0}, again = {0}, index = {0};
     struct archive_reader *r = NULL;
-    (void)state;
     kit_ok(package_write(f.dir, f.names, FILES, f.out, &e), e);
     kit_ok(file_read(f.out, 0, &zip, &e), e);
     kit_ok(archive_open(zip.data, zip.size, &r, &e), e);
@@ -156,7 +153,6 @@ static void test_failures(void **state)
     struct err e = {0};
     struct buf before = {0}, after = {0};
     char *names[3] = {f.names[0], f.names[1], f.names[2]}, missing[] = "t/17/0/absent.glb";
-    (void)state;
     kit_ok(package_write(f.dir, names, 2, f.out, &e), e);
     kit_ok(file_read(f.out, 0, &before, &e), e);
     const size_t n = files_here();

@@ -49,7 +49,6 @@ static bool same_place(const struct quant *a, size_t i, const struct quant *b, s
 /* Merging both parts row by row, in the order of the tile, gives the tile. */
 static void test_parts_are_the_tile(void **state)
 {
-    (void)state;
     static const struct {
         size_t n, first;
     } rows[] = {{4096, 3072}, {4097, 3072}, {5000, 4096}, {9000, 6144}};
@@ -91,7 +90,6 @@ static void test_parts_are_the_tile(void **state)
 
 static void test_few_rows_are_one_part(void **state)
 {
-    (void)state;
     static const size_t counts[] = {0, 1, PART_LEAST - 1};
     for (size_t k = 0; k < 3; k++) {
         struct quant q, part;
@@ -110,7 +108,6 @@ static void test_few_rows_are_one_part(void **state)
 /* Where all weigh the same the first rows are the first part: no machine chooses others. */
 static void test_equal_rows(void **state)
 {
-    (void)state;
     struct quant q, part;
     struct err e = {0};
     kit_ok(quant_alloc(&q, 5000, 0, 0, &e), e);
@@ -138,7 +135,6 @@ static bool has_text(const struct buf *b, const char *text)
 /* Each part is a file of its own, which says what follows to those who ask. */
 static void test_a_part_is_a_file(void **state)
 {
-    (void)state;
     struct quant q;
     struct err e = {0};
     make(6000, 16, &q);

@@ -34,7 +34,6 @@ static void expect_same(const struct gauss *a, const struct gauss *b)
 
 static void test_lossless(void **state)
 {
-    (void)state;
     static const size_t counts[] = {0, 1, 2, 1000};
     for (size_t i = 0; i < 16; i++) {
         struct gauss g, back;
@@ -74,7 +73,6 @@ static void near_step(const float *got, const float *want, size_t n)
 
 static void test_half_floats(void **state)
 {
-    (void)state;
     struct gauss g, back, again;
     struct buf b = {0}, c = {0};
     struct err e = {0};
@@ -126,7 +124,6 @@ static void test_half_floats(void **state)
  * even one, the largest for what is beyond; the wide loops and the plain ones alike. */
 static void test_all_halves(void **state)
 {
-    (void)state;
     enum { HALVES = 0x7c00 };
     static uint16_t bits[HALVES], back[HALVES];
     static float value[HALVES], between[HALVES];
@@ -160,7 +157,6 @@ static void test_all_halves(void **state)
 
 static void test_refuses_what_is_not_finite(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -276,7 +272,6 @@ static void expect_placed(const struct payload *p, const struct gauss *want, uin
  * value is the one that decoding gives, and no other float is touched. */
 static void test_placed(void **state)
 {
-    (void)state;
     static const size_t counts[] = {1, 31, 200, 300};
     struct payload p = {0}; /* used again and again */
     for (size_t c = 0; c < 16; c++) {
@@ -300,7 +295,6 @@ static void test_placed(void **state)
 /* What payload_encode never writes: the planes are patched before they are packed again. */
 static void test_placed_values_are_checked(void **state)
 {
-    (void)state;
     for (int lossless = 0; lossless < 2; lossless++)
         for (int kind = 0; kind < 2; kind++) {
             struct gauss g, back;
@@ -329,7 +323,6 @@ static void test_placed_values_are_checked(void **state)
 
 static void test_truncation_and_flips(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -345,7 +338,6 @@ static void test_truncation_and_flips(void **state)
 
 static void test_hostile_counts(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -370,7 +362,6 @@ static void test_hostile_counts(void **state)
 
 static void test_out_of_memory(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct buf b = {0};
     struct err e = {0};

@@ -26,7 +26,6 @@ static void expect_same(const struct gauss *a, const struct gauss *b)
 
 static void test_round_trip_is_lossless(void **state)
 {
-    (void)state;
     for (uint32_t i = 0; i < 8; i++) {
         struct gauss g, back;
         struct ply_info info = {i & 1, {8.541694, 47.376887, 408.5}, PLY_AXES_NONE}, got = {0};
@@ -55,7 +54,6 @@ static void test_round_trip_is_lossless(void **state)
 /* The file of the original code: 62 floats a row, channel-major f_rest. */
 static void test_layout_is_inrias(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -85,7 +83,6 @@ static void test_layout_is_inrias(void **state)
 /* Coordinates of a national grid: float32 would lose half a metre. */
 static void test_doubles_keep_their_precision(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct buf b = {0};
     struct err e = {0};
@@ -123,7 +120,6 @@ static void put(struct buf *b, int big, const void *p, size_t n)
  * after. */
 static void test_finds_properties_by_name(void **state)
 {
-    (void)state;
     for (int big = 0; big < 2; big++) {
         struct buf b = {0};
         struct gauss g;
@@ -172,7 +168,6 @@ static void test_finds_properties_by_name(void **state)
 
 static void test_reads_text(void **state)
 {
-    (void)state;
     struct buf b = {0};
     struct gauss g;
     struct err e = {0};
@@ -193,7 +188,6 @@ static void test_reads_text(void **state)
 /* One chunk of two splats, packed by hand. */
 static void test_reads_supersplats_packed_form(void **state)
 {
-    (void)state;
     struct buf b = {0};
     struct gauss g;
     struct err e = {0};
@@ -241,7 +235,6 @@ static void test_reads_supersplats_packed_form(void **state)
  * and the origin, which is added, survives. */
 static void test_writes_supersplats_packed_form(void **state)
 {
-    (void)state;
     for (uint32_t degree = 0; degree <= 3; degree++) {
         struct gauss g, back;
         struct buf b = {0};
@@ -312,7 +305,6 @@ static const struct torture torture = {
 
 static void test_truncation_and_flips(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -333,7 +325,6 @@ static void test_truncation_and_flips(void **state)
 
 static void test_hostile_headers(void **state)
 {
-    (void)state;
     static const struct {
         const char *text;
         enum err_code rc;
@@ -400,7 +391,6 @@ static void test_hostile_headers(void **state)
 /* Files of trainers that write other columns: red, green and blue; two scales; neither. */
 static void test_other_columns(void **state)
 {
-    (void)state;
     static const char
         bytes[] =
             "ply\nformat ascii 1.0\nelement vertex 1\n" PLACE
@@ -455,7 +445,6 @@ static void test_other_columns(void **state)
 
 static void test_bad_rows_are_named(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -490,7 +479,6 @@ static void test_bad_rows_are_named(void **state)
 
 static void test_files(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct gauss g, back;
     struct buf b = {0};
@@ -539,7 +527,6 @@ static void expect_parts(const struct ply_stream *s, const struct gauss *whole)
 /* In parts: the same rows, in float32 and in doubles. */
 static void test_in_parts(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct err e = {0};
     kit_tmpdir(dir);
@@ -571,7 +558,6 @@ static void test_in_parts(void **state)
 /* A file that is cut while it is read; other kinds are left to ply_read. */
 static void test_in_parts_cut(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct gauss g, part;
     struct ply_stream *s;

@@ -133,7 +133,6 @@ static void test_ids_are_those_of_the_specification(void **state)
                {1, 1, 0, 4},
                {2, 0, 0, 5},
                {12, 3423, 1763, 19078479}};
-    (void)state;
     for (size_t i = 0; i < sizeof row / sizeof *row; i++)
         assert_int_equal(pmtiles_id(row[i].z, row[i].x, row[i].y), row[i].id);
     /* each place once, and each step along the curve is one tile wide */
@@ -272,7 +271,6 @@ static void check_tiles(const struct buf *file, uint64_t ids, uint64_t step)
 static void test_every_tile_is_found_and_the_bytes_come_again(void **state)
 {
     static const uint64_t sizes[] = {0, 1, 300, 6000, 120000};
-    (void)state;
     for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
         struct buf file = {0}, again = {0};
         write_file(sizes[i], &file);
@@ -293,7 +291,6 @@ static void test_tiles_come_in_order_and_have_bytes(void **state)
 {
     struct err e = {0};
     struct pmtiles *p;
-    (void)state;
     kit_ok(pmtiles_begin(path, &p, &e), e);
     kit_fails(pmtiles_add(p, 7, "", 0, &e), ERR_ARG, e, "tile 7");
     kit_ok(pmtiles_add(p, 7, "a", 1, &e), e);
@@ -333,7 +330,6 @@ static void test_what_fails_leaves_nothing(void **state)
     struct arena a = {0};
     char **names;
     size_t n;
-    (void)state;
     fail_beyond(100000, false);
     fail_beyond(16384 + 2, true);
     kit_fails(pmtiles_begin("/nonexistent/a.pmtiles", &p, &e), ERR_IO, e, "/nonexistent");

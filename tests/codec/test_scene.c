@@ -49,7 +49,6 @@ static void make_scene(struct scene *s)
 
 static void test_round_trip(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     struct scene a, b;
     struct err e = {0};
@@ -106,7 +105,6 @@ static void every_field_is_in_the_file(void **state)
     struct err e = {0};
     struct json_t *root;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    (void)state;
     make_scene(&a);
     kit_tmpdir(dir);
     kit_ok(scene_write(dir, &a, &e), e);
@@ -149,7 +147,6 @@ static void rewrite(const char *dir, const char *name, const char *from, const c
 
 static void test_refused(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 32];
     struct scene a, b;
     struct err e = {0};

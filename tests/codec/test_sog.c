@@ -52,7 +52,6 @@ static double share_lost(const float *a, const float *b, size_t n)
 
 static void test_values(void **state)
 {
-    (void)state;
     struct gauss g, back;
     kit_gauss(1, 3000, 60, 3, 4, &g);
     g.antialiased = true;
@@ -81,7 +80,6 @@ static void test_values(void **state)
 /* Few different harmonics: the palette has them all, and the codebook their values. */
 static void test_harmonics(void **state)
 {
-    (void)state;
     for (uint32_t degree = 0; degree <= 3; degree++) {
         struct gauss g, back;
         kit_gauss(2, 2000, 20, 3, 0, &g);
@@ -100,7 +98,6 @@ static void test_harmonics(void **state)
 
 static void test_palette_keeps_most(void **state)
 {
-    (void)state;
     struct gauss g, back;
     kit_gauss(3, 20000, 20, 3, 0, &g);
     for (size_t i = 0; i < g.n; i++) /* harmonics that follow 40 looks, as those of surfaces do */
@@ -114,7 +111,6 @@ static void test_palette_keeps_most(void **state)
 
 static void test_one_and_equal(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct buf b = {0};
     struct err e = {0};
@@ -141,7 +137,6 @@ static void test_one_and_equal(void **state)
 
 static void test_same_bytes(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf a = {0}, b = {0};
     struct err e = {0};
@@ -161,7 +156,6 @@ static void test_same_bytes(void **state)
 
 static void test_codebook(void **state)
 {
-    (void)state;
     enum { N = 5000 };
     static float v[N];
     static uint8_t index[N];
@@ -214,7 +208,6 @@ static const struct torture torture = {
 
 static void test_torture(void **state)
 {
-    (void)state;
     struct gauss g;
     struct buf b = {0};
     struct err e = {0};
@@ -264,7 +257,6 @@ static enum err_code decode_edited(const char *from, const char *to, struct err 
 
 static void test_lies_in_meta(void **state)
 {
-    (void)state;
     static const struct {
         const char *from, *to;
         enum err_code want;
@@ -355,7 +347,6 @@ static void test_version_1(void **state)
 {
     static const char *const values[] = {"45", "15"}, *const mins[] = {"-1.5", "[-1.5]"};
     static const char *const bad[] = {"\"-1.5\"", "null", "[]", "1e39", "[-1.5,0]"};
-    (void)state;
     for (size_t k = 0; k < 2; k++) {
         struct gauss g;
         struct err e = {0};
@@ -389,7 +380,6 @@ static void test_version_1(void **state)
 
 static void test_memory(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct buf b = {0};
     struct err e = {0};

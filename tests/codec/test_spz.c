@@ -31,7 +31,6 @@ static double sigmoid(double x)
 
 static void test_values_within_half_a_step(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct quant q;
     struct err e = {0};
@@ -77,7 +76,6 @@ static void test_values_within_half_a_step(void **state)
  * name the other one; they stay within the tolerance above). */
 static void test_quantising_twice_is_quantising_once(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct quant q, again;
     struct err e = {0};
@@ -104,7 +102,6 @@ static void test_quantising_twice_is_quantising_once(void **state)
 
 static void test_degrees(void **state)
 {
-    (void)state;
     struct gauss g;
     struct quant q;
     struct err e = {0};
@@ -122,7 +119,6 @@ static void test_degrees(void **state)
 
 static void test_refuses_what_cannot_be_written(void **state)
 {
-    (void)state;
     struct gauss g;
     struct quant q;
     struct err e = {0};
@@ -148,7 +144,6 @@ static void test_refuses_what_cannot_be_written(void **state)
 /* Where 12 bits behind the point are too few or too many: what the range and the sizes ask for. */
 static void test_position_bits_fit_the_tile(void **state)
 {
-    (void)state;
     static const struct {
         double half_m, sigma_m;
         uint8_t steps_log2;
@@ -196,7 +191,6 @@ static void test_position_bits_fit_the_tile(void **state)
  * step. */
 static void test_presets_keep_to_their_steps(void **state)
 {
-    (void)state;
     struct gauss g;
     struct quant q, fine;
     struct err e = {0};
@@ -240,7 +234,6 @@ static void test_presets_keep_to_their_steps(void **state)
 
 static void test_round_trip(void **state)
 {
-    (void)state;
     static const size_t counts[] = {1, 2, 1000};
     for (size_t i = 0; i < 24; i++) {
         struct gauss g;
@@ -297,7 +290,6 @@ static void spz_head(struct buf *b, uint32_t version, uint32_t n, unsigned degre
 /* Bytes written by hand after the published layout. */
 static void test_reads_version_2_and_3_by_the_book(void **state)
 {
-    (void)state;
     struct buf plain = {0}, z = {0};
     struct quant q;
     struct gauss g;
@@ -341,7 +333,6 @@ static void test_reads_version_2_and_3_by_the_book(void **state)
 /* Version 1 has positions of 16-bit floats. */
 static void test_reads_version_1_by_the_book(void **state)
 {
-    (void)state;
     struct buf plain = {0}, z = {0};
     struct quant q;
     struct gauss g;
@@ -394,7 +385,6 @@ static void basis(const double d[3], double out[15])
 /* A record says which way the axes go: what is read is the same thing in glTF's. */
 static void test_other_axes_are_turned(void **state)
 {
-    (void)state;
     struct gauss g, back;
     struct quant q, other;
     struct buf plain = {0}, z = {0};
@@ -460,7 +450,6 @@ static void test_other_axes_are_turned(void **state)
 /* The bytes we write, field by field, after unpacking with zlib. */
 static void test_writes_version_3_by_the_book(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct quant q;
     struct buf b = {0};
@@ -502,7 +491,6 @@ static const struct torture torture = {
 
 static void test_truncation_and_flips(void **state)
 {
-    (void)state;
     for (int version = 3; version <= 4; version++) {
         struct gauss g;
         struct quant q;
@@ -523,7 +511,6 @@ static void test_truncation_and_flips(void **state)
 
 static void test_hostile_counts(void **state)
 {
-    (void)state;
     struct buf plain = {0}, z = {0};
     struct err e = {0};
     size_t before = mem_peak_bytes();
@@ -560,7 +547,6 @@ static void test_hostile_counts(void **state)
 
 static void test_out_of_memory(void **state)
 {
-    (void)state;
     for (int version = 3; version <= 4; version++) {
         struct gauss g;
         struct quant q = {0}, back;
@@ -601,7 +587,6 @@ static void test_records_are_passed_over(void **state)
     struct gauss g;
     struct quant q = {0}, back = {0};
     struct buf without = {0}, with = {0};
-    (void)state;
     kit_gauss(3, 50, 20, 2, 0, &g);
     kit_ok(quant_from_gauss(&g, 2, quant_preset_grid(QUANT_SPZ), &q, &e), e);
     kit_ok(spz_encode(&q, 4, &without, &e), e);

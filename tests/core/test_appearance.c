@@ -33,7 +33,6 @@ static void test_by_hand(void **state)
 {
     struct appearance a;
     struct err e = {0};
-    (void)state;
     kit_ok(appearance_alloc(&a, 2, 1, 2, 1, &e), e);
     const float w1[6] = {1, 2, 0.5f, -1, 0, 0.25f}, b1[2] = {0.25f, 0.125f},
                 w2[8] = {1, -2, 0.5f, 3, 0, 1, -1, 0.5f}, b2[4] = {0.5f, -0.5f, 0, -5};
@@ -68,7 +67,6 @@ static void test_init(void **state)
 {
     struct appearance a = make(16, 32, 40), b = make(16, 32, 40);
     double mean = 0;
-    (void)state;
     assert_memory_equal(a.w1, b.w1, (appearance_weights(&a) + 40 * 5) * sizeof *a.w1);
     for (size_t i = 0; i < 32 * 21; i++)
         assert_true(fabs((double)a.w1[i]) <= 1 / sqrt(21.0));
@@ -129,7 +127,6 @@ static void test_backward(void **state)
     float embed[ROWS * LEN], frame_grad[64], got[128], got_image[IMAGE], image[IMAGE];
     double c[4 * ROWS], f[64] = {0}, want[128 + IMAGE];
     assert_true(n <= 64 && weights <= 128);
-    (void)state;
     for (size_t i = 0; i < sizeof embed / sizeof *embed; i++)
         embed[i] = (float)rng_normal(6, 0, i);
     for (size_t i = 0; i < sizeof c / sizeof *c; i++)
@@ -168,7 +165,6 @@ static void test_backward(void **state)
 static void test_bake(void **state)
 {
     static const uint32_t lens[] = {1, 4, 16, 64};
-    (void)state;
     for (size_t k = 0; k < 4; k++) {
         struct appearance a = make(lens[k], 7 + (uint32_t)k * 19, 2);
         struct gauss g, baked;
@@ -211,7 +207,6 @@ static void test_names_and_blend(void **state)
     const double weight[3] = {0.5, 0.25, 0.25};
     float mix[5];
     double want[5];
-    (void)state;
     assert_int_equal(appearance_find(&a, "DJI_0011.jpg"), 11);
     assert_int_equal(appearance_find(&a, "DJI_0011.jpg.png"), -1);
     assert_int_equal(appearance_find(&a, "DJI_001"), -1);
@@ -227,7 +222,6 @@ static void test_limits(void **state)
 {
     struct appearance a;
     struct err e = {0};
-    (void)state;
     kit_fails(appearance_alloc(&a, 0, 32, 32, 1, &e), ERR_LIMIT, e, "0 and 32");
     kit_fails(appearance_alloc(&a, GAUSS_EMBED_MAX + 1, 32, 32, 1, &e), ERR_LIMIT, e, NULL);
     kit_fails(appearance_alloc(&a, 16, APPEARANCE_IMAGE_MAX + 1, 32, 1, &e), ERR_LIMIT, e, NULL);
@@ -252,7 +246,6 @@ static void rehash(struct buf *b)
 static void test_round_trip(void **state)
 {
     static const size_t counts[] = {0, 1, 30};
-    (void)state;
     for (size_t k = 0; k < 3; k++) {
         struct appearance a = make(16, 32, counts[k]), b;
         struct buf bytes = {0}, again = {0};
@@ -281,7 +274,6 @@ static void test_damage(void **state)
     struct appearance a = make(4, 4, 3), b;
     struct buf bytes = {0};
     struct err e = {0};
-    (void)state;
     kit_ok(appearance_write(&a, &bytes, &e), e);
     for (size_t n = 0; n < bytes.size; n++) {
         assert_true(appearance_read(bytes.data, n, &b, &e) == ERR_FORMAT);
@@ -320,7 +312,6 @@ static void test_hostile(void **state)
     struct appearance a = make(4, 4, 3), b;
     struct buf bytes = {0};
     struct err e = {0};
-    (void)state;
     kit_ok(appearance_write(&a, &bytes, &e), e);
     uint8_t *keep = mem_array(bytes.size, 1);
     assert_non_null(keep);

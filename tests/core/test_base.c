@@ -18,7 +18,6 @@
 
 static void err_set_keeps_arguments_that_point_into_the_message(void **state)
 {
-    (void)state;
     struct err e = {0};
     assert_int_equal(err_set(&e, ERR_IO, "disk full"), ERR_IO);
     assert_int_equal(err_add(&e, "cell %d", 3), ERR_IO);
@@ -45,7 +44,6 @@ static void log_quote_writes_utf8(void **state)
         {"cut \xe2\x82", "cut \\ufffd\\ufffd"},
     };
     char out[64];
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         assert_int_equal(log_quote(rows[i].text, out, sizeof out), strlen(rows[i].want));
         assert_string_equal(out, rows[i].want);
@@ -54,7 +52,6 @@ static void log_quote_writes_utf8(void **state)
 
 static void mem_array_refuses_overflow_and_fails_on_demand(void **state)
 {
-    (void)state;
     assert_null(mem_array(SIZE_MAX / 2, 3));
     assert_null(mem_array(SIZE_MAX, 1));
     void *p = mem_array(0, 8);
@@ -73,7 +70,6 @@ static void mem_array_refuses_overflow_and_fails_on_demand(void **state)
 
 static void arena_keeps_to_its_ceiling(void **state)
 {
-    (void)state;
     struct arena a = {.limit_bytes = 1024};
     assert_non_null(arena_get(&a, 10, 100));
     assert_null(arena_get(&a, 1, 100));
@@ -86,7 +82,6 @@ static void arena_keeps_to_its_ceiling(void **state)
 
 static void buf_and_cursor_round_trip_little_endian(void **state)
 {
-    (void)state;
     struct buf b = {0};
     buf_u8(&b, 0xab);
     buf_u16(&b, 0x1234);
@@ -113,7 +108,6 @@ static void buf_and_cursor_round_trip_little_endian(void **state)
 
 static void buf_markup_leaves_nothing_that_opens_or_ends_markup(void **state)
 {
-    (void)state;
     static const struct {
         const char *text, *want;
     } cases[] = {
@@ -136,7 +130,6 @@ static void buf_markup_leaves_nothing_that_opens_or_ends_markup(void **state)
 
 static void file_write_replaces_whole_or_not_at_all(void **state)
 {
-    (void)state;
     struct err e = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], deep[FILE_PATH_MAX];
     kit_tmpdir(dir);
@@ -170,7 +163,6 @@ static void file_write_replaces_whole_or_not_at_all(void **state)
 
 static void file_write_to_a_full_disk_leaves_nothing(void **state)
 {
-    (void)state;
     struct err e = {0};
     if (access("/dev/full", W_OK))
         skip();
@@ -179,7 +171,6 @@ static void file_write_to_a_full_disk_leaves_nothing(void **state)
 
 static void rng_is_uniform_normal_and_fixed(void **state)
 {
-    (void)state;
     assert_true(rng_u64(1, 2, 3) == rng_u64(1, 2, 3));
     assert_true(rng_u64(1, 2, 3) != rng_u64(1, 3, 2));
     enum { N = 100000 };
@@ -199,7 +190,6 @@ static void rng_is_uniform_normal_and_fixed(void **state)
 
 static void jsonc_reads_comments_and_names_the_line(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct json_t *j = NULL;
     const char good[] = "// head\n{\n  // why\n  \"a\": 2.5, \"s\": \"// not a comment\"\n}\n";
@@ -259,7 +249,6 @@ static enum err_code toy_parse(struct toy *t, struct options_args *args, struct 
 
 static void options_come_from_defaults_then_files_then_flags(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct toy t = {0};
@@ -284,7 +273,6 @@ static void options_come_from_defaults_then_files_then_flags(void **state)
 
 static void options_refuse_with_the_nearest_name(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct toy t = {0};
@@ -313,7 +301,6 @@ static void options_refuse_with_the_nearest_name(void **state)
 /* An option that is on is shown by the flag that turns it off, and is said to. */
 static void help_of_a_switch_says_what_the_shown_flag_does(void **state)
 {
-    (void)state;
     struct buf b = {0};
     assert_int_equal(kit_run(&b, "%s ingest --help=all", kit_program()), 0);
     buf_u8(&b, 0);
@@ -340,7 +327,6 @@ static enum err_code square(void *user, size_t i, struct err *e)
 
 static void pool_runs_each_once_and_reports_the_lowest_failure(void **state)
 {
-    (void)state;
     struct err e = {0};
     static size_t out[1000];
     kit_ok(pool_for(900, 4, square, out, &e), e);
@@ -352,7 +338,6 @@ static void pool_runs_each_once_and_reports_the_lowest_failure(void **state)
 
 static void gauss_survives_growth_and_a_moved_origin(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct gauss g, h;
     kit_gauss(3, 50, 10.0, 2, 4, &g);
@@ -401,7 +386,6 @@ static void gauss_survives_growth_and_a_moved_origin(void **state)
  */
 static void hilbert_curve_is_one(void **state)
 {
-    (void)state;
     enum { EDGE = 16, CELLS = EDGE * EDGE * EDGE };
     struct sort_hilbert curve;
     static uint32_t at[CELLS][3];
@@ -428,7 +412,6 @@ static void hilbert_curve_is_one(void **state)
 
 static void gauss_alloc_fails_cleanly(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct gauss g;
     mem_fail_at(1);
@@ -453,7 +436,6 @@ static int double_compare(const void *a, const void *b)
  * signs, infinities. */
 static void sorts_of_doubles(void **state)
 {
-    (void)state;
     enum { MANY = 20000 };
     static double v[MANY], want[MANY];
     static const size_t counts[] = {0, 1, 2, 48, 1000, MANY};
@@ -484,7 +466,6 @@ static void sorts_of_doubles(void **state)
 /* Words by their upper half, equal ones in the order they came; selection as sorting would. */
 static void sorts_of_words_and_selection(void **state)
 {
-    (void)state;
     enum { MANY = 5000 };
     static uint64_t words[MANY], scratch[MANY];
     static float x[MANY], sorted[MANY];
@@ -515,7 +496,6 @@ static void sorts_of_words_and_selection(void **state)
 
 static void blocks_are_appended_as_rows_are(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct gauss g, rows, block;
     kit_gauss(5, 300, 40, 3, 8, &g);
@@ -542,7 +522,6 @@ static void blocks_are_appended_as_rows_are(void **state)
 /* A list grows when it is full, keeps what it holds, and stays as it was when memory is short. */
 static void mem_room_doubles_and_keeps(void **state)
 {
-    (void)state;
     size_t n = 0, cap = 0;
     uint32_t *list = NULL;
     for (uint32_t i = 0; i < 13; i++) {
@@ -573,7 +552,6 @@ static void small_systems_are_factored_and_solved(void **state)
 {
     enum { N = 7, STRIDE = 9 };
     double a[N][STRIDE] = {{0}}, l[N][STRIDE];
-    (void)state;
     for (size_t k = 0; k < 2 * N; k++)
         for (size_t i = 0; i < N; i++)
             for (size_t j = 0; j < N; j++)
@@ -609,7 +587,6 @@ static void small_systems_are_factored_and_solved(void **state)
 /* Each lane as if it were alone, to the bit; one of them is not positive definite. */
 static void systems_side_by_side_are_those_alone(void **state)
 {
-    (void)state;
     enum { N = 7, STRIDE = 9, BAD = 3 };
     double a[N * STRIDE][CHOLESKY_LANES] = {{0}}, x[N][CHOLESKY_RIGHT][CHOLESKY_LANES];
     double one[CHOLESKY_LANES][N * STRIDE] = {{0}};

@@ -27,7 +27,6 @@ static void project(const struct camera *c, const double x[3], double uv[2])
 
 static void test_look_at_conventions(void **state)
 {
-    (void)state;
     const double eye[3] = {10, 20, 100}, below[3] = {10, 20, 0};
     struct camera c = camera_look_at(eye, below, 60 * M_PI / 180, 400, 300);
     double center[3], uv[2];
@@ -53,7 +52,6 @@ static void test_look_at_conventions(void **state)
 
 static void test_heading_agrees_with_look_at(void **state)
 {
-    (void)state;
     const double eye[3] = {-3, 7, 50};
     for (int k = 0; k < 24; k++) {
         double heading = k * 15.0, pitch = -80 + 6.5 * k, h = heading * M_PI / 180,
@@ -74,7 +72,6 @@ static void test_heading_agrees_with_look_at(void **state)
 
 static void test_resize_keeps_the_view(void **state)
 {
-    (void)state;
     struct camera c =
         camera_look_at((double[3]){0, -30, 40}, (double[3]){1, 2, 3}, 0.9, 1600, 1200);
     struct camera d = camera_resize(&c, 400, 301);
@@ -88,7 +85,6 @@ static void test_resize_keeps_the_view(void **state)
 
 static void test_project(void **state)
 {
-    (void)state;
     const struct camera c =
         camera_look_at((double[3]){3, -30, 40}, (double[3]){1, 2, 3}, 0.9, 640, 480);
     double px[2], want[2], depth_m, again_m;
@@ -118,7 +114,6 @@ static void test_project(void **state)
 /* Numbers that double holds exactly: a camera at the origin that looks north. */
 static void test_project_edges(void **state)
 {
-    (void)state;
     const struct camera c = {.width_px = 64,
                              .height_px = 32,
                              .fx_px = 16,
@@ -151,7 +146,6 @@ static void test_project_edges(void **state)
 
 static void test_quaternions(void **state)
 {
-    (void)state;
     for (uint64_t i = 0; i < 2000; i++) {
         double q[4], rot[9], back[4], n = 0;
         for (uint64_t k = 0; k < 4; k++) {
@@ -188,7 +182,6 @@ static enum err_code parse(const char *text, struct camera *c, struct err *e)
 
 static void test_json(void **state)
 {
-    (void)state;
     struct camera c;
     struct err e = {0};
     kit_ok(parse(good_json, &c, &e), e);
@@ -240,7 +233,6 @@ static struct lens lens_of(enum lens_model m)
 
 static void test_lens_round_trip(void **state)
 {
-    (void)state;
     for (int m = 0; m < LENS_COUNT; m++) {
         struct lens l = lens_of((enum lens_model)m);
         enum lens_model back;
@@ -265,7 +257,6 @@ static void test_lens_round_trip(void **state)
 /* Closed forms by hand, so that a round trip cannot hide a wrong formula. */
 static void test_lens_values(void **state)
 {
-    (void)state;
     const double x = 0.3, y = -0.2, r2 = x * x + y * y, r = sqrt(r2), th = atan(r);
     double got[2];
     struct lens l = lens_of(LENS_OPENCV);
@@ -305,7 +296,6 @@ static void test_lens_values(void **state)
  */
 static void test_lens_resize(void **state)
 {
-    (void)state;
     for (int m = 0; m < LENS_COUNT; m++) {
         struct lens l = lens_of((enum lens_model)m), r = lens_resize(&l, 334, 265);
         double a[2], got[2];
@@ -324,7 +314,6 @@ static void test_lens_resize(void **state)
 /* k1 = -0.5 folds back at r = sqrt(2/3): pixels beyond it belong to no direction. */
 static void test_lens_without_inverse(void **state)
 {
-    (void)state;
     struct lens l = {.model = LENS_SIMPLE_RADIAL,
                      .width_px = 1000,
                      .height_px = 800,

@@ -159,7 +159,6 @@ static void test_build_error_cites_file_and_line(void **state)
 /* As NVIDIA's driver writes its logs. */
 static void test_lines_of_all_pieces_are_those_of_files(void **state)
 {
-    (void)state;
     const char *const text[] = {"\n#line 1 \"a.h\"\n", "one\ntwo\n", "\n#line 1 \"b.cl\"\n",
                                 "one\ntwo\nthree"},
                       *const names[] = {"a.h", "b.cl"};
@@ -381,7 +380,6 @@ static void test_programs_are_kept(void **state)
 
 static void test_old_programs_are_removed(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct buf b = {0};
@@ -440,7 +438,6 @@ static void test_reserve_keeps_what_is_large_enough(void **state)
 
 static void test_unwritable_cache_is_named(void **state)
 {
-    (void)state;
     pid_t child = fork(); /* touches no OpenCL object of the parent */
     assert_true(child >= 0);
     if (child == 0) {

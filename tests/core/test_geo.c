@@ -23,7 +23,6 @@ static void ecef(double lon_deg, double lat_deg, double h, double out[3])
 
 static void test_enu_by_formula(void **state)
 {
-    (void)state;
     struct err e = {0};
     for (uint64_t i = 0; i < 200; i++) {
         struct geo_origin o = {rng_unit(2, i, 0) * 360 - 180, rng_unit(2, i, 1) * 178 - 89,
@@ -58,7 +57,6 @@ static void test_enu_by_formula(void **state)
 
 static void test_local_axes(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct geo_origin o = {7.5, 47.5, 300};
     double rot[9], up[3], base[3];
@@ -75,7 +73,6 @@ static void test_local_axes(void **state)
 
 static void test_errors(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct geo_origin o = {7.5, 47.5, 300}, bad = {0, 91, 0}, nan = {(double)NAN, 0, 0};
     double out[3], lon, lat, h, m[16];

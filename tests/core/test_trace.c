@@ -65,7 +65,6 @@ static void spans_end_in_a_file(void **state)
     struct err e = {0};
     struct trace_result r;
     size_t n;
-    (void)state;
     path_of(path, "spans.json");
     assert_false(trace_on());
     trace_span("work", "nothing", 0.0, 1.0); /* nobody listens */
@@ -99,7 +98,6 @@ static void overlapping_spans_are_pairs(void **state)
     json_int_t number[2] = {-1, -1};
     size_t i, n = 0;
     const json_t *ev;
-    (void)state;
     path_of(path, "overlap.json");
     kit_ok(trace_begin(path, &e), e);
     const double t = clock_s();
@@ -132,7 +130,6 @@ static void what_cannot_be_written_is_told_first(void **state)
 {
     char path[FILE_PATH_MAX];
     struct err e = {0};
-    (void)state;
     path_of(path, "no/such/folder/t.json");
     kit_fails(trace_begin(path, &e), ERR_IO, e, "t.json");
     assert_false(trace_on());
@@ -158,7 +155,6 @@ static void kernels_are_on_the_clock_of_the_host(void **state)
     const struct dev_source src = {"tests/step.cl", STEP_CL};
     const cl_uint many = N, few = 1;
     size_t n;
-    (void)state;
     path_of(path, "kernels.json");
     double begin_s = clock_s();
     kit_ok(trace_begin(path, &e), e);
@@ -214,7 +210,6 @@ static void training_leaves_a_trace(void **state)
     char path[FILE_PATH_MAX];
     const char *bin = kit_program();
     size_t n;
-    (void)state;
     int rc = kit_run(&out,
                      "cd '%s' && '%s' synth -o city --photos 8 --extent-m 30 --width-px 96 "
                      "--height-px 72 -q && '%s' ingest city/images city/sparse -o scene -q && "

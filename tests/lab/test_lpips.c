@@ -289,19 +289,16 @@ static void check_net(bool vgg, uint32_t vector_width)
 
 static void test_vgg(void **state)
 {
-    (void)state;
     check_net(true, 0);
 }
 
 static void test_alex(void **state)
 {
-    (void)state;
     check_net(false, 0);
 }
 
 static void test_narrow_kernels(void **state)
 {
-    (void)state;
     check_net(true, 1);
     check_net(false, 1);
 }
@@ -339,20 +336,17 @@ static void check_full(bool vgg, uint32_t w, uint32_t h, size_t n_weights)
 
 static void test_full_size_vgg(void **state)
 {
-    (void)state;
     check_full(true, 21, 18, 14710464); /* convolutions of VGG16 without biases */
 }
 
 static void test_full_size_alex(void **state)
 {
-    (void)state;
     check_full(false, 45, 37, 2468544);
 }
 
 /* What is missing or of another shape is named. */
 static void test_incomplete(void **state)
 {
-    (void)state;
     static const char *const missing[] = {"net.slice1.0.weight", "net.slice3.12.weight",
                                           "lin4.model.1.weight"};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
@@ -408,7 +402,6 @@ static const struct torture torture = {.name = "safetensors", .decode = decode_f
 
 static void test_hostile_files(void **state)
 {
-    (void)state;
     struct tensors t;
     struct err e = {0};
     struct toy toy = toy_make(false, false);

@@ -83,7 +83,6 @@ static void two_balls(struct gauss *g)
 
 static void median_is_the_surface_behind_a_faint_ball(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     static struct maps m;
     float limit[PIXELS];
@@ -104,7 +103,6 @@ static void median_is_the_surface_behind_a_faint_ball(void **state)
 
 static void maps_of_a_crowd_agree_with_the_picture(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct err e = {0};
     struct dev other = dev;
@@ -286,7 +284,6 @@ static void depths_are_those_on_the_ray(void **state)
 /* The ground seen from 2 m above it: discs as large as their distance allows. */
 static void a_street_is_as_deep_as_its_plane(void **state)
 {
-    (void)state;
     enum { DISCS = 400 };
     struct gauss g = {0};
     struct err e = {0};
@@ -329,7 +326,6 @@ static void a_street_is_as_deep_as_its_plane(void **state)
 
 static void no_frame_is_an_error(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct render *fresh = NULL;
     struct render_surface *s = NULL;
@@ -345,7 +341,6 @@ static void no_frame_is_an_error(void **state)
 
 static void within_a_mask_only_its_pixels_count(void **state)
 {
-    (void)state;
     enum { W = 24, H = 20, N = W * H };
     float rgb[3 * N];
     uint8_t target[3 * N], mask[N];
@@ -377,7 +372,6 @@ static void within_a_mask_only_its_pixels_count(void **state)
 
 static void sums_say_halo_haze_and_depth(void **state)
 {
-    (void)state;
     /* A strip: 100 pixels unobserved, 100 seen by one photograph, 800 supported, and below it one
      * of pixels that are hidden, which count for nothing but gaps. */
     enum { W = 100, H = 11, N = W * 10, ALL = W * H };
@@ -433,7 +427,6 @@ static void sums_say_halo_haze_and_depth(void **state)
  * wide. */
 static void fog_is_halo_beyond_the_edge(void **state)
 {
-    (void)state;
     enum { W = 40, H = 30, N = W * H, X = 11, Y = 4 };
     static float rgb[3 * N], median[N], front[N], left[N], depth[N];
     static uint8_t mask[N], square[N], px[3 * N];
@@ -568,7 +561,6 @@ static void check_blur(const char *city, struct synth_views_options *again, cons
 
 static void synth_writes_views_that_are_true(void **state)
 {
-    (void)state;
     char tmp[FILE_PATH_MAX], city_dir[FILE_PATH_MAX], own[FILE_PATH_MAX], out[FILE_PATH_MAX];
     char more[FILE_PATH_MAX];
     struct synth_config cfg;
@@ -645,7 +637,6 @@ static void write_text(const char *dir, const char *name, const char *text)
 
 static void views_move_into_the_scene(void **state)
 {
-    (void)state;
     char tmp[FILE_PATH_MAX];
     struct err e = {0};
     struct map_views v;

@@ -57,7 +57,6 @@ static void the_table_of_gpus(void **state)
         {376, {"blend_backward"}, false},
         /* a moment of 4 bytes, or of 2 */
         {ROOFLINE_MOMENT_BYTES > 2.0 ? 1609 : 1137, {"project_step"}, false}};
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         for (int gpu = rows[i].cpu ? 0 : 1; gpu < 2; gpu++) {
             const char *kernels[5] = {0};
@@ -73,7 +72,6 @@ static void every_kernel_has_a_limit(void **state)
 {
     struct roofline_need need;
     size_t i = 0;
-    (void)state;
     for (; roofline_name(i); i++) {
         bool known = false;
         for (int gpu = 0; gpu < 2; gpu++) {
@@ -101,7 +99,6 @@ static void what_binds(void **state)
 {
     struct roofline_need need = {.bytes = 67e6, .multiply_adds = 231e6};
     struct roofline_limit limit = roofline_limit(&need, 231, 67);
-    (void)state;
     assert_true(!limit.memory && fabs(limit.ms - 2.0) < 1e-9);
     need.multiply_adds = 0;
     limit = roofline_limit(&need, 231, 67);
@@ -116,7 +113,6 @@ static void by_hand(void **state)
     const double each[] = {20, 45};
     struct roofline_need before, after;
     struct roofline_work w = city;
-    (void)state;
     w.blocks += 1;
     for (size_t i = 0; i < 2; i++) {
         assert_true(roofline_need(names[i], &city, &before));

@@ -65,7 +65,6 @@ static struct surface_ray ray_of(const struct maps *m, size_t i, double truth_m)
  * no thickness. */
 static void a_plane_is_thin_and_as_high_as_it_is(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     static struct maps m;
     kit_gauss(1, 1, 1.0, 0, 0, &g);
@@ -84,7 +83,6 @@ static void a_plane_is_thin_and_as_high_as_it_is(void **state)
  * 0.9; 0.8^11 = 0.086 is the first below 0.1; 0.8^4 = 0.41 the first below 1/2. */
 static void fog_is_as_thick_as_its_layers(void **state)
 {
-    (void)state;
     enum { LAYERS = 16 };
     struct gauss g = {0};
     static struct maps m;
@@ -109,7 +107,6 @@ static void fog_is_as_thick_as_its_layers(void **state)
 /* Half of the picture has a plane: the other half is a hole. */
 static void a_hole_has_its_share(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct err e = {0};
     struct surface_rays rays = {0};
@@ -142,7 +139,6 @@ static void a_hole_has_its_share(void **state)
 
 static void figures_are_those_by_hand(void **state)
 {
-    (void)state;
     const float error[] = {-0.1f, 0.1f, 0.3f, 0.7f, -1.2f, NAN},
                 bright[] = {0.5f, 0.5f, 0.6f, 0.8f, 0.1f, 0.3f};
     struct surface_rays rays = {0};
@@ -219,7 +215,6 @@ static void spread(struct surface_cloud *c, double x0, double x1, double z, uint
  * roof 0.15 m too high, and a sheet of haze as large as the ground. */
 static void matches_are_those_by_hand(void **state)
 {
-    (void)state;
     struct surface_cloud model = {.voxel_m = 0.05}, truth = {.voxel_m = 0.05};
     struct surface_match m[SURFACE_MATCHES][SURFACE_CLASSES + 1];
     const double within[SURFACE_MATCHES] = {0.1, 0.2};

@@ -15,7 +15,6 @@ static const double ring[5][2] = {
 
 static int setup(void **state)
 {
-    (void)state;
     survey_make(NULL);
     return 0;
 }
@@ -126,7 +125,6 @@ static void check_part(double high_m, bool copies)
 
 static void what_lies_inside_is_kept(void **state)
 {
-    (void)state;
     check_part(HUGE_VAL, true);
     check_part(origin.h_m + 8, false); /* haze is everywhere, so that no tile is as it was */
 }
@@ -141,7 +139,6 @@ static void a_part_has_its_own_date(void **state)
     struct clip_report r;
     char path[FILE_PATH_MAX], out[FILE_PATH_MAX];
     size_t n;
-    (void)state;
     path_of("old.tiles", path);
     path_of("new.tiles", out);
     kit_ok(store_open(f.path, &all, &e), e);
@@ -204,7 +201,6 @@ static void maps_end_at_the_cut(void **state)
     struct store *part, *whole;
     struct area a, all;
     char polygon[FILE_PATH_MAX], path[FILE_PATH_MAX], second[FILE_PATH_MAX];
-    (void)state;
     put_ring(polygon);
     path_of("once.tiles", path);
     path_of("second.tiles", second);
@@ -260,7 +256,6 @@ static void nonsense_is_refused(void **state)
     struct clip c;
     struct clip_report r;
     char path[FILE_PATH_MAX], out[FILE_PATH_MAX];
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         put_file("bad.geojson", bad[i].text, path);
         kit_fails(clip_open(path, -HUGE_VAL, HUGE_VAL, &c, &e), bad[i].rc, e, bad[i].says);
@@ -283,7 +278,6 @@ static void the_program_clips(void **state)
     struct buf out = {0};
     char polygon[FILE_PATH_MAX];
     const char *bin = kit_program();
-    (void)state;
     put_ring(polygon);
     assert_int_equal(
         kit_run(&out,

@@ -353,7 +353,6 @@ static void nor_as_on_a_gpu(void **state)
 /* Among the Gaussians of many sizes the reach of the longest one counts, wherever it is. */
 static void frustums_by_brute_force(void **state)
 {
-    (void)state;
     for (uint64_t seed = 0; seed < 2000; seed++) {
         double eye[3], lo[3], hi[3], x[3];
         struct frustum f;

@@ -21,7 +21,6 @@ static void assert_key(struct key k, uint8_t z, uint32_t x, uint32_t y)
 /* Places and tiles as OpenStreetMap's slippy-map formula gives them. */
 static void known_places(void **state)
 {
-    (void)state;
     assert_key(key_at(0, 0, 0), 0, 0, 0);
     assert_key(key_at(13.3777, 52.5163, 15), 15, 17601, 10746);   /* Brandenburg Gate */
     assert_key(key_at(-122.4783, 37.8199, 12), 12, 654, 1582);    /* Golden Gate */
@@ -30,7 +29,6 @@ static void known_places(void **state)
 
 static void edges_are_half_open(void **state)
 {
-    (void)state;
     /* The meridian and the equator belong to the east and the south. */
     assert_key(key_at(0, 0, 1), 1, 1, 1);
     assert_key(key_at(nextafter(0, -1) - 1e-12, 1e-9, 1), 1, 0, 0);
@@ -47,7 +45,6 @@ static void edges_are_half_open(void **state)
 
 static void poles_and_antimeridian_are_clamped(void **state)
 {
-    (void)state;
     assert_key(key_at(-180, 90, 4), 4, 0, 0);
     assert_key(key_at(180, -90, 4), 4, 15, 15);
     assert_key(key_at(180, 0, 24), 24, (1u << 24) - 1, 1u << 23);
@@ -59,7 +56,6 @@ static void poles_and_antimeridian_are_clamped(void **state)
 
 static void zooms_nest_and_centres_round_trip(void **state)
 {
-    (void)state;
     for (uint64_t i = 0; i < 2000; i++) {
         double lon = rng_unit(1, 0, i) * 360 - 180, lat = rng_unit(1, 1, i) * 178 - 89;
         struct key fine = key_at(lon, lat, KEY_ZOOM_MAX);
@@ -79,7 +75,6 @@ static void zooms_nest_and_centres_round_trip(void **state)
 
 static void bounds_cover_the_square(void **state)
 {
-    (void)state;
     double w, s, e, n;
     key_bounds((struct key){0}, &w, &s, &e, &n);
     assert_near(w, -180, 0);
@@ -90,7 +85,6 @@ static void bounds_cover_the_square(void **state)
 
 static void order_is_zoom_row_column(void **state)
 {
-    (void)state;
     const struct key sorted[] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {1, 0, 1}, {2, 0, 0}};
     for (int i = 0; i < 5; i++)
         for (int j = 0; j < 5; j++)
@@ -103,7 +97,6 @@ static void order_is_zoom_row_column(void **state)
 
 static void edge_lengths_and_the_zoom_for_them(void **state)
 {
-    (void)state;
     assert_near(key_edge_m(0, 0), 40075016.685578488, 1e-6);
     assert_near(key_edge_m(60, 1), 40075016.685578488 / 4, 1e-3);
     for (int z = 0; z <= KEY_ZOOM_MAX; z++) {

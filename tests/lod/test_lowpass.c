@@ -71,7 +71,6 @@ static void a_client_without_a_filter_draws_what_we_draw(void **state)
                                 theirs = {.aa = RENDER_AA_NONE,
                                           .sh_degree = -1,
                                           .kernel_px2 = CESIUM_PX2};
-    (void)state;
     struct gauss g = make_ground();
     draw(&g, &ours, served);
     draw(&g, &theirs, raw);
@@ -87,7 +86,6 @@ static void a_client_without_a_filter_draws_what_we_draw(void **state)
 static void variances_grow_and_opacities_fall(void **state)
 {
     struct gauss g, was;
-    (void)state;
     kit_gauss(5, 200, 4.0, 1, 0, &g);
     kit_gauss(5, 200, 4.0, 1, 0, &was);
     lowpass_gauss(&g, 0.5); /* trained without anti-aliasing: as they are */
@@ -184,7 +182,6 @@ static void leaves_have_the_tile_itself_below(void **state)
 {
     char dir[FILE_PATH_MAX];
     size_t n;
-    (void)state;
     kit_tmpdir(dir);
     struct store *s = make_store(dir, true);
     const struct tree *tree = store_tree(s);
@@ -220,7 +217,6 @@ static void leaves_have_the_tile_itself_below(void **state)
 static void others_name_tiles_as_they_are(void **state)
 {
     char dir[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(dir);
     for (int antialiased = 0; antialiased < 2; antialiased++) {
         struct store *s = make_store(dir, antialiased);

@@ -206,7 +206,6 @@ static void depths_of_shares(void **state)
 
 static void how_far_pixels_move(void **state)
 {
-    (void)state;
     const struct camera cam = camera_at(0, 10), small = camera_resize(&cam, W - 16, H);
     struct camera b = cam;
     assert_true(camera_moved_px(&cam, &b, 10) < 1e-9);

@@ -136,7 +136,6 @@ static void run_case(const json_t *scenes, const json_t *c)
 
 static void cases_by_hand(void **state)
 {
-    (void)state;
     struct err e = {0};
     json_t *root, *c;
     size_t i;
@@ -244,7 +243,6 @@ static void vector_case(const json_t *root, const json_t *c, size_t i)
 
 static void vectors(void **state)
 {
-    (void)state;
     struct err e = {0};
     json_t *root, *c;
     size_t i;
@@ -324,7 +322,6 @@ static size_t changes_to_and_fro(const struct scene_tiles *s, double error_px, d
  * changes its level once at most. Without a band it does at every step. */
 static void a_trembling_camera_does_not_flap(void **state)
 {
-    (void)state;
     size_t changes[2] = {0};
     for (uint64_t seed = 0; seed < 20; seed++) {
         struct scene_tiles s;
@@ -351,7 +348,6 @@ static size_t picked_above(const struct scene_tiles *s, const bool *picked, uint
 
 static void a_pick_is_a_cut(void **state)
 {
-    (void)state;
     struct err e = {0};
     for (uint64_t seed = 0; seed < 200; seed++) {
         struct scene_tiles s;
@@ -384,7 +380,6 @@ static void a_pick_is_a_cut(void **state)
 
 static void tighter_errors_only_refine(void **state)
 {
-    (void)state;
     struct err e = {0};
     for (uint64_t seed = 0; seed < 50; seed++) {
         struct scene_tiles s;
@@ -409,7 +404,6 @@ static void tighter_errors_only_refine(void **state)
 
 static void errors_fall_strictly_and_boxes_nest(void **state)
 {
-    (void)state;
     for (uint64_t seed = 0; seed < 50; seed++) {
         struct scene_tiles s;
         random_scene(seed, &s);
@@ -433,7 +427,6 @@ static void errors_fall_strictly_and_boxes_nest(void **state)
  * changes nothing. */
 static void culled_tiles_contribute_nothing(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { GROUPS = 40, EACH = 5, W = 40, H = 30 };
     size_t culled = 0;
@@ -491,7 +484,6 @@ static void culled_tiles_contribute_nothing(void **state)
 
 static void nothing_to_pick_from(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct tree t;
     const struct index none = {0};

@@ -460,7 +460,6 @@ static void one_tile_or_a_corner_holds_the_scene(void **state)
  * edges of tiles to the last bit, high up, at the date line and at the poles. */
 static void located_as_by_definition(void **state)
 {
-    (void)state;
     struct err e = {0};
     static const struct geo_origin places[] = {{8.6821, 50.1109, 160},
                                                {-179.9999, -16.5, 5},
@@ -495,7 +494,6 @@ static void located_as_by_definition(void **state)
 
 static void eigen_of_known_matrices(void **state)
 {
-    (void)state;
     for (uint64_t i = 0; i < 500; i++) {
         double q[4], rot[9], want[3], cov[6], value[3], v[9];
         for (uint64_t k = 0; k < 4; k++)
@@ -532,7 +530,6 @@ static void eigen_of_known_matrices(void **state)
 /* Over pi: a sphere shows r^2 from everywhere, a thin disc half its face on average. */
 static void projected_areas(void **state)
 {
-    (void)state;
     const double sphere[3] = {2, 2, 2}, disc[3] = {3, 3, 1e-6};
     double got[2] = {simplify_area(sphere), simplify_area(disc)};
     const double want[2] = {4, 4.5};
@@ -548,7 +545,6 @@ static double logistic(double x)
  * coverage. */
 static void two_become_one_by_moments(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct gauss g, out;
     kit_ok(gauss_alloc(&g, 2, 1, 2, &e), e);
@@ -586,7 +582,6 @@ static void two_become_one_by_moments(void **state)
 
 static void targets_are_met_exactly(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct gauss g, a, b;
     kit_gauss(80, 3000, 10, 1, 4, &g);
@@ -625,7 +620,6 @@ static double psnr(const double *a, const double *b, size_t n)
  * in some. */
 static void absurd_sizes_come_to_an_end(void **state)
 {
-    (void)state;
     struct err e = {0};
     static const float absurd[] = {300.0f, -300.0f, 88.0f, 3e38f};
     for (size_t k = 0; k < sizeof absurd / sizeof *absurd; k++)
@@ -646,7 +640,6 @@ static void absurd_sizes_come_to_an_end(void **state)
 
 static void a_quarter_looks_like_the_whole(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { W = 48, H = 36, SIDE = 56 };
     struct gauss g, less, some;

@@ -47,7 +47,6 @@ static void many_places_have_heights(void **state)
     json_t *places = json_array();
     double at[200][3];
     size_t n = 0;
-    (void)state;
     for (size_t i = 0; i < 200; i++) {
         place_of((double)(i * 37 % 201) * 0.27 - 27, (double)(i * 53 % 199) * 0.27 - 27, 0, at[i]);
         json_array_append_new(places, json_pack("[f,f]", at[i][0], at[i][1]));
@@ -72,7 +71,6 @@ static void profiles_follow_the_surface(void **state)
 {
     double a[3], b[3], c[3];
     size_t level = 0;
-    (void)state;
     place_of(-20, -15, 0, a);
     place_of(22, -15, 0, b);
     place_of(22, 17, 0, c);
@@ -120,7 +118,6 @@ static void climb_of(const double *h, size_t n, double *climb, double *fall)
 static void noise_does_not_climb(void **state)
 {
     double h[400], climb, fall;
-    (void)state;
     for (size_t i = 0; i < 400; i++)
         h[i] = 50 + 0.1 * rng_normal(2, 1, i);
     h[7] = (double)NAN;
@@ -170,7 +167,6 @@ static void volumes_are_the_citys(void **state)
 {
     double least = 0, most = 0, truth = 0, base = origin.h_m + 2, step = 0.25;
     json_t *ring = ring_of(-15, -12, 30), *o;
-    (void)state;
     for (double y = -12 + step / 2; y < 18; y += step)
         for (double x = -15 + step / 2; x < 15; x += step) {
             double z[2];
@@ -266,7 +262,6 @@ static void pixels_show_the_city(void **state)
     struct camera cam;
     double eye[3];
     size_t n = 0, off = 0;
-    (void)state;
     place_of(4, -18, 110, eye);
     const struct view_pose pose = {eye[0], eye[1], eye[2], 0, -80, 30};
     kit_ok(view_camera(&origin, &pose, 320, 240, &cam, &e), e);
@@ -292,7 +287,6 @@ static void eyes_see_what_is_not_hidden(void **state)
     struct err e = {0};
     struct measure_sight s;
     double from[3], to[3], high[2] = {0}, top = -1;
-    (void)state;
     for (double y = -24; y < 24; y += 0.5) /* the highest roof */
         for (double x = -24; x < 24; x += 0.5)
             if (truth_z(x, y) > top && level_at(x, y, 0.3)) {
@@ -320,7 +314,6 @@ static void polygons_are_checked(void **state)
                         flat[3][2] = {{0, 0}, {1, 1}, {2, 2}},
                         l[6][2] = {{0, 0}, {4, 0}, {4, 1}, {1, 1}, {1, 3}, {0, 3}};
     struct err e = {0};
-    (void)state;
     kit_fails(outline_check(bow, 4, &e), ERR_DATA, e, "corner 1 and the one from corner 3");
     kit_fails(outline_check(flat, 3, &e), ERR_DATA, e, "no area");
     kit_fails(outline_check(l, 2, &e), ERR_DATA, e, "at least 3");
@@ -337,7 +330,6 @@ static void what_is_drawn_is_limited(void **state)
     struct err e = {0};
     struct measure_area a;
     double ring[4][2], at[3], least;
-    (void)state;
     for (size_t i = 0; i < 4; i++) {
         place_of(corner[i][0], corner[i][1], 0, at);
         memcpy(ring[i], at, sizeof ring[i]);
@@ -367,7 +359,6 @@ static void what_is_drawn_is_limited(void **state)
 static void far_lines_are_refused(void **state)
 {
     static const double ends[][2] = {{8.6821, 51.2}, {188.6821 - 360, -50.1109}}; /* antipode */
-    (void)state;
     for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {
         struct err e = {0};
         struct query q = {.kind = QUERY_MEASURE, .n = 2};
@@ -392,7 +383,6 @@ static void drawing_can_be_stopped(void **state)
     struct probe p[8];
     double lonlat[8][2], at[3];
     size_t asked = 0, *user = &asked;
-    (void)state;
     for (size_t i = 0; i < 8; i++) {
         place_of((double)i * 3 - 12, 0, 0, at);
         memcpy(lonlat[i], at, sizeof lonlat[i]);
@@ -412,7 +402,6 @@ static void sea_level_is_told(void **state)
     struct geoid *g;
     struct buf b = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     buf_printf(&b, "P5\n# Description test\n# DateTime 2026-01-01\n# Offset -108\n# Scale 0.003\n"
                    "# MaxBilinearError 0\n# RMSBilinearError 0\n# MaxCubicError 0\n"
                    "# RMSCubicError 0\n8 5\n65535\n");
@@ -453,7 +442,6 @@ static void the_program_answers(void **state)
 {
     struct buf out = {0};
     const char *bin = kit_program();
-    (void)state;
     put_file("heap.geojson", "{\"type\":\"Polygon\",\"coordinates\":[[[8.682,50.1108],"
                              "[8.6822,50.1108],[8.6822,50.111],[8.682,50.111],[8.682,50.1108]]]}");
     put_file("bow.geojson", "{\"type\":\"Polygon\",\"coordinates\":[[[8.682,50.1108],"

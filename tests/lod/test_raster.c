@@ -22,7 +22,6 @@ static const char half_city[] =
 
 static int setup_half(void **state)
 {
-    (void)state;
     survey_make(half_city);
     survey_open();
     return 0;
@@ -75,7 +74,6 @@ static struct key tile_at(uint8_t z)
  * say. */
 static void pixels_lie_where_the_map_has_them(void **state)
 {
-    (void)state;
     for (uint32_t scale = 1; scale <= 2; scale++) {
         struct drawn d;
         uint8_t z = (uint8_t)(raster_zoom_max(nadir_area(f.nadir)) - 2);
@@ -123,7 +121,6 @@ static void neighbours_fit(void **state)
     struct key west = tile_at(z), east = west;
     double across = 0, within = 0, color = 0;
     size_t n = 0, differ = 0, both = 0;
-    (void)state;
     east.x++;
     /* Of the two neighbours the one that has the city on both sides of the border. */
     double w, s, e, north;
@@ -169,7 +166,6 @@ static void neighbours_fit(void **state)
 /* From far away the city is a few pixels, and they lie in the right place. */
 static void low_zooms_show_the_city(void **state)
 {
-    (void)state;
     for (uint8_t z = 6; z <= 14; z = (uint8_t)(z + 4)) {
         struct drawn d;
         size_t n = 0;
@@ -203,7 +199,6 @@ static void the_footprint_is_the_border(void **state)
     const struct area *a = nadir_area(f.nadir);
     struct drawn d;
     size_t n = 0;
-    (void)state;
     assert_true(fabs(a->west_deg - 8.6817) < 1e-9 && fabs(a->east_deg - 8.6821) < 1e-9);
     assert_true(fabs(a->south_deg - 50.1107) < 1e-9 && fabs(a->north_deg - 50.1111) < 1e-9);
     draw(key_at(8.68195, 50.11095, 19), SIDE, 0, &d);
@@ -236,7 +231,6 @@ static void nonsense_is_no_footprint(void **state)
         "]]]}}",
         "{\"geometry\":{\"type\":\"MultiPolygon\",\"coordinates\":[[[[8,500],[9,50],[9,51],[8,50]]]"
         "]}}"};
-    (void)state;
     log_set_level(LOG_ERROR);
     for (size_t i = 0; i < sizeof texts / sizeof *texts; i++) {
         struct err e = {0};
@@ -265,7 +259,6 @@ static void a_store_of_no_size_has_no_maps(void **state)
         .tile = {.key = key_at(origin.lon_deg, origin.lat_deg, 18), .level = 3}};
     const struct store_meta meta = {.name = "none", .origin = origin};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(dir);
     kit_ok(file_join(path, dir, "none.tiles", &e), e);
     kit_gauss(3, 20, 5, 0, 0, &g);
@@ -287,7 +280,6 @@ static void holes_are_filled(void **state)
 {
     enum { N = 40, REACH = 5 };
     float h[N * N], filled[N * N];
-    (void)state;
     for (size_t i = 0; i < N * N; i++)
         h[i] = i % N < 20 ? 10 + (float)(i / N) : NAN; /* a slope; nothing east of 20 */
     for (size_t y = 18; y < 21; y++)
@@ -312,7 +304,6 @@ static void sizes_are_limited(void **state)
 {
     struct err e = {0};
     uint8_t in[1];
-    (void)state;
     const struct raster_tile wide = {tile_at(19), RASTER_SIDE_MAX, 1}, none = {tile_at(19), 0, 0};
     kit_fails(raster_draw(f.nadir, &wide, NULL, NULL, in, &e), ERR_ARG, e, "at most");
     kit_fails(raster_draw(f.nadir, &none, NULL, NULL, in, &e), ERR_ARG, e, "at most");
@@ -327,7 +318,6 @@ static void bare_ground_has_no_houses_and_no_cliffs(void **state)
     struct err e = {0};
     float *h = mem_array((size_t)N * (N + SHIFT), sizeof *h), *one = mem_array(N * N, sizeof *one),
           *two = mem_array(N * N, sizeof *two), *window = mem_array(N * N, sizeof *window);
-    (void)state;
     for (int y = 0; y < N; y++)
         for (int x = 0; x < N + SHIFT; x++) {
             const bool in_house = x >= 30 && x < 46 && y >= 40 && y < 56;

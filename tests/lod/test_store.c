@@ -666,7 +666,6 @@ static void shapes_come_out(uint32_t far)
 
 static void shapes_come_out_as_they_went_in(void **state)
 {
-    (void)state;
     shapes_come_out(0);
     shapes_come_out((UINT32_C(1) << 23) - 1);
 }

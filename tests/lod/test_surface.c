@@ -26,7 +26,6 @@ static void smooth(struct field *f_)
 
 static void windows_grow_with_the_gaussians(void **state)
 {
-    (void)state;
     const struct surface_window fine = surface_window(3.5), coarse = surface_window(0.1),
                                 huge = surface_window(1e6);
     assert_true(fine.near_px == 2 && fine.far_px == 4);
@@ -38,7 +37,6 @@ static void windows_grow_with_the_gaussians(void **state)
 static void a_plane_stays(void **state)
 {
     static struct field p;
-    (void)state;
     for (size_t i = 0; i < PIXELS; i++)
         p.height[i] = 0.25f * (float)(i % SIDE) + 0.5f * (float)(i / SIDE);
     smooth(&p);
@@ -52,7 +50,6 @@ static void a_plane_stays(void **state)
 static void a_step_lies_where_colours_change(void **state)
 {
     static struct field p;
-    (void)state;
     for (int painted = 0; painted < 2; painted++) {
         size_t end = painted ? 20 : 22;
         for (size_t i = 0; i < PIXELS; i++) {
@@ -72,7 +69,6 @@ static void bumps_go_and_holes_stay(void **state)
 {
     static struct field p;
     size_t spike = 10 * SIDE + 10, hole = 25 * SIDE + 25;
-    (void)state;
     memset(&p, 0, sizeof p);
     p.height[spike] = 30;
     for (size_t y = 8; y < 24; y++)
@@ -91,7 +87,6 @@ static void bumps_go_and_holes_stay(void **state)
 static void threads_change_nothing(void **state)
 {
     static struct field a, b;
-    (void)state;
     for (size_t i = 0; i < PIXELS; i++) {
         a.height[i] = (float)rng_normal(5, 1, i);
         for (size_t k = 0; k < 3; k++)
@@ -130,7 +125,6 @@ static void slanted_rays_meet_the_surface(void **state)
     static float truth[PIECE * PIECE], got[PIECE * PIECE];
     const struct nadir_piece p = piece_at(PIECE_GSD_M);
     struct err e = {0};
-    (void)state;
     for (size_t i = 0; i < PIECE * PIECE; i++) {
         double at[2];
         pixel_at(i, PIECE_GSD_M, at);
@@ -193,7 +187,6 @@ static void uncertainty_is_that_of_the_errors(void **state)
     char path[FILE_PATH_MAX];
     size_t known = 0;
     double sum[2] = {0}, sum2[2] = {0}, sigma2 = 0;
-    (void)state;
     loose_store("loose.tiles", scatter_m, NULL, 0, path);
     kit_ok(nadir_open(path, &no, &n, &e), e);
     const struct nadir_piece p = piece_at(PIECE_GSD_M);
@@ -272,7 +265,6 @@ static void slanted_rays_find_walls(void **state)
     struct nadir *n;
     char path[FILE_PATH_MAX];
     const double step = 1.0 / BOX_STEP, half = 0.5 * BOX_EDGE;
-    (void)state;
     kit_ok(gauss_alloc(&g, N * N + 4 * M * T, 0, 0, &e), e);
     g.antialiased = true;
     g.n = 0;
@@ -326,7 +318,6 @@ static void few_photographs_are_uncertain(void **state)
     for (size_t i = 0; i < CELLS * CELLS; i++)
         views[i] = i % CELLS < CELLS / 2 ? 2 : SEEN_VIEWS_MAX;
     size_t west = 0, east = 0;
-    (void)state;
     kit_ok(seen_encode(&seen, &blob, &e), e);
     const struct store_blob kept = {SEEN_BLOB, blob.data, blob.size};
     for (size_t k = 0; k < 2; k++) {

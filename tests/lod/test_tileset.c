@@ -410,7 +410,6 @@ static void documents_of_a_large_city(void **state)
     struct tree tree;
     size_t n = 0, documents = 0;
     struct index index = {0};
-    (void)state;
     for (uint8_t z = 10; z <= 18; z++) /* in the order of key_compare */
         for (uint32_t y = 0; y < 1u << (z - 10); y++)
             for (uint32_t x = 0; x < 1u << (z - 10); x++) {

@@ -104,7 +104,6 @@ static void assert_no_holes(struct store *s)
 
 static void a_cell_changes_what_it_touches(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct err e = {0};
     struct gauss west[4], east[4], all[4];
@@ -273,7 +272,6 @@ static void scene_free3(struct scene3 *x)
 
 static void the_same_cell_twice_is_once(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[3][FILE_PATH_MAX];
     struct err e = {0};
     struct update_report first, again;
@@ -388,7 +386,6 @@ static bool is_moved(struct store *su, struct store *sf, struct key over)
 
 static void an_update_is_what_a_full_build_gives(void **state)
 {
-    (void)state;
     enum { W = 64, H = 48, LEVELS = 2 };
     static double a[W * H * 3], b[W * H * 3];
     char dir[FILE_PATH_MAX], updated[FILE_PATH_MAX], full[FILE_PATH_MAX];
@@ -492,7 +489,6 @@ static int update_with_limit(const char *path, const struct update_config *c, si
 
 static void a_death_in_the_middle_leaves_the_old_store(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], copy[FILE_PATH_MAX];
     struct err e = {0};
     struct buf before = {0}, after = {0}, now = {0}, ls = {0};
@@ -544,7 +540,6 @@ static void a_death_in_the_middle_leaves_the_old_store(void **state)
  * there, where it was on Earth. */
 static void two_areas_become_one(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], a[FILE_PATH_MAX], b[FILE_PATH_MAX], out[FILE_PATH_MAX];
     struct err e = {0};
     struct gauss ga, gb;
@@ -612,7 +607,6 @@ static void two_areas_become_one(void **state)
 /* Two neighbours, each with a single tile on top, get overviews until one tile holds both, once. */
 static void neighbours_get_a_common_overview(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[3][FILE_PATH_MAX];
     struct err e = {0};
     struct gauss g;
@@ -652,7 +646,6 @@ static void neighbours_get_a_common_overview(void **state)
  * the same place on Earth. */
 static void views_turn_with_the_frame(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], a[FILE_PATH_MAX], b[FILE_PATH_MAX], out[FILE_PATH_MAX];
     enum { W = 24, H = 20 };
     struct err e = {0};

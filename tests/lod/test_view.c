@@ -336,7 +336,6 @@ static void a_damaged_tile_spoils_only_the_views_that_need_it(void **state)
  * map is in the middle of the picture. */
 static void cameras_by_heading_and_pitch(void **state)
 {
-    (void)state;
     struct err e = {0};
     const double place[3][2] = {{8.6821, 50.1109}, {9.5, 50.6}, {7.9, 49.5}};
     for (size_t i = 0; i < 3; i++) {

@@ -17,7 +17,6 @@ static struct render *render;
 static int render_kit_open(void **state)
 {
     struct err e = {0};
-    (void)state;
     kit_ok(dev_open(NULL, &dev, &e), e);
     kit_ok(render_open(&dev, &render, &e), e);
     return 0;
@@ -25,7 +24,6 @@ static int render_kit_open(void **state)
 
 static int render_kit_close(void **state)
 {
-    (void)state;
     render_close(&render);
     dev_close(&dev);
     return 0;

@@ -75,7 +75,6 @@ static void check_kernels(struct render *r, struct view_case *s, const char *wha
 
 static void test_kernels_match_reference(void **state)
 {
-    (void)state;
     static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
     struct render *r;
     struct err e = {0};
@@ -145,7 +144,6 @@ static void check_moments(struct render *r, struct view_case *s, const char *wha
 
 static void test_moments_match_reference(void **state)
 {
-    (void)state;
     static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
     struct render *r;
     struct err e = {0};
@@ -170,7 +168,6 @@ static void test_moments_match_reference(void **state)
  * back are built on first use, so that the forward pass need not be narrow as well. */
 static void test_narrow_kernels_match_reference(void **state)
 {
-    (void)state;
     for (int i = 0; i < 5; i++) {
         struct view_case s = i % 3 == 0 ? view_case_make(60, 40, RENDER_AA_2D, 2)
                              : i == 1   ? view_case_saturated(RENDER_AA_MIP)
@@ -195,7 +192,6 @@ static void test_narrow_kernels_match_reference(void **state)
 #define LINEAR_REL 2e-5
 static void test_same_decisions(void **state)
 {
-    (void)state;
     struct render *r;
     struct render_model m = {0};
     struct err e = {0};
@@ -284,13 +280,11 @@ static void digest(char out[33])
 
 static void test_same_bits(void **state)
 {
-    (void)state;
     kit_same_bits(digest);
 }
 
 static void test_errors(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(50, 4, RENDER_AA_NONE, 0);
     struct trainer t = trainer_make(&s.g);
     struct render_model other = t.m;
@@ -320,7 +314,6 @@ static void test_errors(void **state)
 /* Nothing to see is a picture too. */
 static void test_empty(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(51, 3, RENDER_AA_2D, 1);
     struct gauss before = {0}, after = {0};
     for (size_t i = 0; i < s.g.n; i++)

@@ -53,7 +53,6 @@ static void check_reference(struct view_case *s, const char *what)
 
 static void test_ref_all_parameters(void **state)
 {
-    (void)state;
     static const struct {
         enum render_aa aa;
         uint32_t degree;
@@ -72,7 +71,6 @@ static void test_ref_all_parameters(void **state)
 /* Moments of depth, also of needles and of centres beyond the clamp of the Jacobian. */
 static void test_ref_moments(void **state)
 {
-    (void)state;
     static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
     for (size_t i = 0; i < 3; i++) {
         struct view_case s[4] = {view_case_make(130 + i, 7, modes[i], 1),
@@ -90,7 +88,6 @@ static void test_ref_moments(void **state)
 
 static void test_ref_split_background(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(110, 7, RENDER_AA_2D, 1);
     struct grads one = grads_make(&s.g), two = grads_make(&s.g);
     struct err e = {0};
@@ -106,7 +103,6 @@ static void test_ref_split_background(void **state)
 
 static void test_ref_saturated(void **state)
 {
-    (void)state;
     struct view_case s = view_case_saturated(RENDER_AA_2D);
     struct err e = {0};
     double *rgb = mem_array((size_t)PX_W * PX_H, 3 * sizeof *rgb),
@@ -125,7 +121,6 @@ static void test_ref_saturated(void **state)
 
 static void test_ref_outside(void **state)
 {
-    (void)state;
     struct view_case s = view_case_outside(RENDER_AA_2D);
     struct ref_view v;
     struct ref_splat p;
@@ -146,7 +141,6 @@ static void test_ref_outside(void **state)
 
 static void test_ref_needles(void **state)
 {
-    (void)state;
     static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
     for (size_t i = 0; i < 3; i++) {
         struct view_case s = view_case_needles(modes[i]);
@@ -158,7 +152,6 @@ static void test_ref_needles(void **state)
 /* An SH degree below the model's: the rest has no gradient. A culled Gaussian has none at all. */
 static void test_ref_untouched(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(12, 5, RENDER_AA_2D, 3);
     struct grads g = grads_make(&s.g);
     struct err e = {0};

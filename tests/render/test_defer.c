@@ -118,7 +118,6 @@ static void check_listed(uint32_t width)
 
 static void test_lists_what_shows(void **state)
 {
-    (void)state;
     check_listed(0);
     check_listed(1); /* as a GPU has it */
 }
@@ -252,7 +251,6 @@ static void check_owed(uint32_t from, uint32_t k, uint32_t width)
 
 static void test_owed_is_single_steps(void **state)
 {
-    (void)state;
     check_owed(1, 1, 0);
     check_owed(1, 40, 0);
     check_owed(5, 300, 0);
@@ -299,7 +297,6 @@ static float *look_back(uint32_t k, bool settle, size_t *words)
 
 static void test_listed_make_what_they_are_owed(void **state)
 {
-    (void)state;
     size_t words = 0, same = 0;
     float *passing = look_back(9, false, &words), *settled = look_back(9, true, &words);
     double *want = mem_array(words, sizeof *want), larger[2] = {0.0}, n[2] = {0.0};
@@ -374,7 +371,6 @@ static double check_look(struct trainer *t, struct defer *d, const struct view_c
 /* Looks between steps. */
 static void test_looks_show_all_there_is(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct view_case s = around(56);
     const struct camera first = s.cam;
@@ -464,7 +460,6 @@ static float *in_pieces(uint32_t n, uint32_t save, size_t *words)
 
 static void test_goes_on_with_the_same_bytes(void **state)
 {
-    (void)state;
     size_t words = 0;
     float *whole = in_pieces(30, 0, &words), *parts = in_pieces(30, 17, &words),
           *again = in_pieces(30, 1, &words);

@@ -83,7 +83,6 @@ static void compare(const char *dir, const char *name, size_t ndim, const size_t
 
 static void test_against_reference(void **state)
 {
-    (void)state;
     static const char *const modes[] = {"none", "2d", "mip"};
     const char *program = kit_program();
     char dir[FILE_PATH_MAX], out[FILE_PATH_MAX];
@@ -144,7 +143,6 @@ static void refuse(const char *dir, const char *args, int code, const char *text
 
 static void test_refusals(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct gauss g;
     struct camera cam;

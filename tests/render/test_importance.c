@@ -64,7 +64,6 @@ static struct frame_sums run(const struct gauss *g, const float *weight)
 
 static void one_gaussian_is_counted_pixel_by_pixel(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct camera cam = camera();
     kit_gauss(3, 1, 1.0, 0, 0, &g);
@@ -104,7 +103,6 @@ static void one_gaussian_is_counted_pixel_by_pixel(void **state)
 
 static void shares_of_all_add_up_to_what_the_picture_lost(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     kit_gauss(5, 300, 3.0, 1, 0, &g);
     float weight[PIXELS];
@@ -154,7 +152,6 @@ static enum err_code share_sums(struct render_importance *s, const struct render
 
 static void shares_are_asked_for(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct err e = {0};
     struct render_model m = {0};
@@ -177,7 +174,6 @@ static void shares_are_asked_for(void **state)
 /* Both shapes of the kernels; the other sums of a Gaussian are those of importance, to the bit. */
 static void shares_alone_are_the_same_shares(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct err e = {0};
     struct dev other = dev;
@@ -216,7 +212,6 @@ static void shares_alone_are_the_same_shares(void **state)
  * 1/255 of alpha and at most a picture's diagonal of distance. */
 static void the_other_shape_of_the_kernels_gives_the_same_sums(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     struct err e = {0};
     struct dev other = dev;
@@ -249,7 +244,6 @@ static void the_other_shape_of_the_kernels_gives_the_same_sums(void **state)
 
 static void an_empty_view_gives_zeros(void **state)
 {
-    (void)state;
     struct gauss g = {0};
     float weight[PIXELS] = {0};
     kit_gauss(5, 20, 1.0, 0, 0, &g);
@@ -302,7 +296,6 @@ static void check_removal(const struct render_options *o)
 
 static void a_removal_changes_the_picture_as_predicted(void **state)
 {
-    (void)state;
     uint8_t where[PIXELS];
     struct render_options o = options;
     check_removal(&o);
@@ -316,7 +309,6 @@ static void a_removal_changes_the_picture_as_predicted(void **state)
 
 static void the_other_shape_predicts_the_same(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct dev other = dev;
     struct render *own = render;

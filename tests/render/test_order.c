@@ -122,13 +122,11 @@ static void lists_hold_in_shape(uint32_t vector_width, void (*hold)(void))
 
 static void test_lists_of_cpus(void **state)
 {
-    (void)state;
     lists_hold_in_shape(LAYOUT_LANES, lists_hold_everywhere);
 }
 
 static void test_lists_of_gpus(void **state)
 {
-    (void)state;
     lists_hold_in_shape(1, lists_hold_everywhere);
 }
 
@@ -140,7 +138,6 @@ static void lists_hold_small(void)
 
 static void test_small_lists_of_both(void **state)
 {
-    (void)state;
     lists_hold_in_shape(LAYOUT_LANES, lists_hold_small);
     lists_hold_in_shape(1, lists_hold_small);
 }

@@ -61,14 +61,12 @@ static void check(size_t n_old, size_t n, bool zero_new)
 
 static void rows_become_more(void **state)
 {
-    (void)state;
     check(FEW, MANY, true);
     check(3, 17, false);
 }
 
 static void rows_become_fewer(void **state)
 {
-    (void)state;
     check(MANY, FEW + 5, true);
     check(40, 1, true);
     check(MANY, MANY, false);
@@ -77,7 +75,6 @@ static void rows_become_fewer(void **state)
 /* An order and its inverse leave everything as it was. */
 static void an_order_can_be_taken_back(void **state)
 {
-    (void)state;
     struct err e = {0};
     uint32_t *there = mem_array(FEW, sizeof *there), *back = mem_array(FEW, sizeof *back);
     float *a = array_make(FEW, FEW), *b = array_make(FEW, FEW);

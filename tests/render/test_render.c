@@ -37,7 +37,6 @@ static struct render *render;
 static int setup(void **state)
 {
     struct err e = {0};
-    (void)state;
     if (dev_open(NULL, &dev, &e) != ERR_OK || render_open(&dev, &render, &e) != ERR_OK) {
         print_error("%s\n", e.msg);
         return 1;
@@ -47,7 +46,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     render_close(&render);
     render_close(&render); /* idempotent */
     dev_close(&dev);
@@ -142,7 +140,6 @@ static void test_counts_and_sizes(void **state)
 {
     static const size_t counts[] = {0, 1, 15, 16, 17, 300};
     static const uint32_t sizes[][2] = {{64, 48}, {1, 1}, {17, 33}, {50, 16}};
-    (void)state;
     for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
         for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++) {
             struct gauss g;
@@ -161,7 +158,6 @@ static void test_counts_and_sizes(void **state)
 
 static void test_antialiasing_modes(void **state)
 {
-    (void)state;
     for (int aa = RENDER_AA_NONE; aa <= RENDER_AA_MIP; aa++) {
         struct gauss g;
         struct render_options o = PLAIN;
@@ -184,7 +180,6 @@ static void test_modes_differ(void **state)
     struct gauss g;
     struct picture p[3];
     struct camera cam = view_from(40, 20, 10, 48, 48); /* far: splats below a pixel */
-    (void)state;
     kit_gauss(22, 200, 3.0, 0, 0, &g);
     double mass[3] = {0};
     for (int aa = 0; aa < 3; aa++) {
@@ -203,7 +198,6 @@ static void test_modes_differ(void **state)
 
 static void test_sh_degrees(void **state)
 {
-    (void)state;
     for (uint32_t has = 0; has <= 3; has++)
         for (int use = -1; use <= 3; use++) {
             struct gauss g;
@@ -307,14 +301,12 @@ static void check_halves(void)
 
 static void test_halves(void **state)
 {
-    (void)state;
     check_halves();
 }
 
 static void test_camera_inside(void **state)
 {
     struct gauss g;
-    (void)state;
     kit_gauss(41, 300, 3.0, 2, 0, &g);
     struct camera cam = view_from(0.5, 0.4, 0.3, 64, 48);
     check("inside", &g, &cam, &PLAIN);
@@ -329,7 +321,6 @@ static void test_off_frustum(void **state)
 {
     struct gauss g;
     const double eye[3] = {0, -6, 1}, aside[3] = {9, 0, 1}, away[3] = {0, -20, 1};
-    (void)state;
     kit_gauss(51, 200, 3.0, 0, 0, &g);
     for (size_t i = 0; i < g.n; i++)
         for (int k = 0; k < 3; k++)
@@ -350,7 +341,6 @@ static void test_off_frustum(void **state)
 static void test_saturated(void **state)
 {
     struct gauss g;
-    (void)state;
     kit_gauss(61, 300, 1.5, 0, 0, &g);
     for (size_t i = 0; i < g.n; i++) {
         g.opacity_logit[i] = 12.0f; /* alpha runs into 0.99, pixels into the stop */
@@ -373,7 +363,6 @@ static void test_saturated(void **state)
 static void test_large_splats(void **state)
 {
     struct gauss g;
-    (void)state;
     kit_gauss(71, 24, 2.0, 0, 0, &g);
     for (size_t i = 0; i < g.n; i++) {
         g.scale_log[3 * i] = 0.3f;
@@ -389,7 +378,6 @@ static void test_large_splats(void **state)
 static void test_ties_are_by_index(void **state)
 {
     struct gauss g;
-    (void)state;
     kit_gauss(81, 40, 2.0, 0, 0, &g);
     for (size_t i = 1; i < g.n; i++)
         memcpy(&g.mean_m[3 * i], g.mean_m, 3 * sizeof(float)); /* forty splats at one place */
@@ -412,7 +400,6 @@ static void expect_same_bits(const char *what, const struct picture *a, const st
 static void test_culling_changes_nothing(void **state)
 {
     struct gauss g;
-    (void)state;
     kit_gauss(91, 1500, 4.0, 1, 0, &g);
     for (size_t i = 0; i < g.n; i++)
         g.scale_log[3 * i + i % 3] += 2.0f; /* needles and discs, where boxes are wasteful */
@@ -450,7 +437,6 @@ static bool mean_in_picture(const struct gauss *g, size_t i, const struct camera
 static void test_groups_outside(void **state)
 {
     const struct camera cam = view_from(3.2, -2.1, 1.6, 90, 60);
-    (void)state;
     for (unsigned round = 0; round < 6; round++) {
         struct gauss g, outside, apart;
         struct render_options o = PLAIN;
@@ -492,7 +478,6 @@ static void test_picture_alone(void **state)
     struct render_model m;
     struct render_options alone = PLAIN;
     struct err e = {0};
-    (void)state;
     kit_gauss(103, 3000, 4.0, 1, 0, &g);
     for (size_t i = 0; i < g.n; i += 50)
         g.scale_log[3 * i] += 3.0f; /* rows of more tiles than are written at once */
@@ -513,7 +498,6 @@ static void test_repeatable(void **state)
 {
     struct gauss g;
     struct camera cam = view_from(8, -5, 5, 130, 70);
-    (void)state;
     kit_gauss(101, 5000, 4.0, 3, 0, &g);
     struct picture a = draw(&g, &cam, &PLAIN), b = draw(&g, &cam, &PLAIN);
     expect_same_bits("two runs", &a, &b);
@@ -527,7 +511,6 @@ static void test_far_from_origin(void **state)
 {
     struct gauss g;
     struct camera cam = view_from(8, -5, 5, 64, 48);
-    (void)state;
     kit_gauss(111, 300, 4.0, 2, 0, &g);
     struct picture near = draw(&g, &cam, &PLAIN);
     const double far[3] = {1e6, -1e6, 500};
@@ -557,7 +540,6 @@ static void test_background(void **state)
     struct gauss g;
     struct camera cam = view_from(8, -5, 5, 70, 40);
     struct render_options o = PLAIN;
-    (void)state;
     kit_gauss(121, 200, 4.0, 0, 0, &g);
     struct picture black = draw(&g, &cam, &o);
     for (int c = 0; c < 3; c++)
@@ -629,7 +611,6 @@ static void test_growth(void **state)
     struct err e = {0};
     struct render *fresh = NULL;
     struct camera cam = view_from(6, -5, 5, 40, 30), wide = view_from(6, -5, 5, 300, 200);
-    (void)state;
     kit_gauss(131, 10, 3.0, 0, 0, &small);
     kit_gauss(132, 3000, 3.0, 1, 0, &large);
     kit_ok(render_open(&dev, &fresh, &e), e);
@@ -658,7 +639,6 @@ static void test_limits(void **state)
     struct render_model m;
     struct camera cam = view_from(6, -5, 5, 64, 48);
     float rgb[3 * 64 * 48];
-    (void)state;
     kit_gauss(141, 200, 3.0, 0, 0, &g);
     kit_ok(render_model_upload(render, &g, &m, &e), e);
     uint64_t keep = render->intersection_max;
@@ -693,7 +673,6 @@ static void test_hostile_parameters(void **state)
     enum { ODD = sizeof odd / sizeof *odd, N = 4096 };
     struct gauss g;
     struct camera cam = view_from(6, -5, 5, 80, 60);
-    (void)state;
     kit_gauss(151, N, 3.0, 1, 0, &g);
     float *planes[] = {g.mean_m, g.scale_log, g.quat_wxyz, g.opacity_logit, g.sh};
     const size_t width[] = {3, 3, 4, 1, 12};
@@ -733,7 +712,6 @@ static void test_near_plane(void **state)
 {
     struct gauss g;
     const double eye[3] = {0, 0, 0}, target[3] = {0, 1, 0};
-    (void)state;
     kit_gauss(161, 2, 1.0, 0, 0, &g);
     const float mean[6] = {0, 0.3f, 0, 0, 0.19f, 0}; /* one just behind 0.2 m, one in front of it */
     memcpy(g.mean_m, mean, sizeof mean);
@@ -752,7 +730,6 @@ static void test_many_intersections(void **state)
 {
     struct gauss g;
     struct camera cam = view_from(2, -2, 1.5, 400, 96);
-    (void)state;
     kit_gauss(171, 160, 2.0, 0, 0, &g);
     for (size_t i = 0; i < g.n; i++) {
         for (int k = 0; k < 3; k++)
@@ -769,7 +746,6 @@ static void test_many_intersections(void **state)
 static void test_upload_download(void **state)
 {
     static const size_t counts[] = {0, 1, 16, 100};
-    (void)state;
     for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
         struct gauss g, back = {0};
         struct err e = {0};
@@ -808,7 +784,6 @@ static void test_layout_on_device(void **state)
     cl_kernel k;
     cl_mem m;
     uint32_t got[5];
-    (void)state;
     kit_ok(dev_build(&dev, &src, 1, NULL, &p, &e), e);
     kit_ok(dev_kernel(p, "sizes", &k, &e), e);
     kit_ok(dev_buffer(&dev, sizeof got, NULL, &m, &e), e);
@@ -839,7 +814,6 @@ static void test_exp2(void **state)
     cl_kernel k;
     cl_mem m;
     float *x = mem_array(N, sizeof *x), *y = mem_array(N, sizeof *y);
-    (void)state;
     for (int i = 0; i < N; i++)
         x[i] = -126.0f + 253.0f * (float)i / N;
     kit_ok(dev_build(&dev, src, sizeof src / sizeof *src, NULL, &p, &e), e);
@@ -866,7 +840,6 @@ static void test_gpu_shapes(void **state)
     struct dev scalar = dev;
     struct render *wide = render;
     struct err e = {0};
-    (void)state;
     scalar.vector_width = dev.vector_width == 1 ? 16 : 1;
     kit_ok(render_open(&scalar, &render, &e), e);
     for (size_t i = 0; i < sizeof counts / sizeof *counts; i++) {
@@ -893,7 +866,6 @@ static void test_orthographic(void **state)
     struct err e = {0};
     struct gauss g;
     struct render_model m = {0};
-    (void)state;
     cam.fx_px = 14;
     cam.fy_px = 11;
     kit_gauss(77, 400, 4.0, 3, 0, &g);
@@ -956,7 +928,6 @@ static void test_supersampling(void **state)
     static double fine[4 * 4 * 33 * 20 * 3], fine_t[4 * 4 * 33 * 20], rgb[33 * 20 * 3], t[33 * 20];
     struct err e = {0};
     struct gauss g;
-    (void)state;
     kit_gauss(23, 200, 3.0, 1, 0, &g);
     for (uint32_t factor = 2; factor <= 4; factor++)
         for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++) {
@@ -998,7 +969,6 @@ static void test_supersampling_hides_more(void **state)
     enum { SIDE = 120 };
     struct gauss g;
     double left[2] = {0};
-    (void)state;
     kit_gauss(24, (size_t)SIDE * SIDE, 1.0, 0, 0, &g);
     for (size_t i = 0; i < g.n; i++) {
         g.mean_m[3 * i] = 0.05f * ((float)(i % SIDE) - 0.5f * SIDE);
@@ -1026,7 +996,6 @@ static void test_stats(void **state)
 {
     struct gauss g;
     struct camera cam = view_from(8, -5, 5, 130, 70);
-    (void)state;
     kit_gauss(201, 500, 4.0, 0, 0, &g);
     render_set_timing(render, true);
     struct picture p = draw(&g, &cam, &PLAIN);

@@ -122,7 +122,6 @@ static void differences(struct look *l, const char *what, float *p, const double
 
 static void test_reference(void **state)
 {
-    (void)state;
     static const struct {
         uint32_t len, hidden;
         int degree;
@@ -150,7 +149,6 @@ static void test_reference(void **state)
 /* The reference's network is the host's. */
 static void test_same_network(void **state)
 {
-    (void)state;
     struct look l = look_make(80, 30, LEN, HIDDEN, 0);
     struct ref_view v;
     struct err e = {0};
@@ -281,7 +279,6 @@ static void check_kernels(const char *what, struct look *l, uint32_t width)
 
 static void test_kernels(void **state)
 {
-    (void)state;
     static const struct {
         uint32_t len, hidden, n;
         int degree;
@@ -307,7 +304,6 @@ static void test_kernels(void **state)
 /* Frames with and without, and of other lengths, in any order: each as if alone. */
 static void test_switching(void **state)
 {
-    (void)state;
     struct look l = look_make(55, 60, LEN, HIDDEN, 1), other = look_make(56, 60, 4, 8, 1);
     struct render *r;
     struct render_model m = {0}, n = {0};
@@ -354,7 +350,6 @@ static void test_switching(void **state)
 /* Embeddings travel with the model. */
 static void test_upload_download(void **state)
 {
-    (void)state;
     struct gauss g, back = {0}, other = {0};
     struct render *r;
     struct render_model m;
@@ -464,7 +459,6 @@ static void check_adam(uint32_t width)
 
 static void test_step_is_adam(void **state)
 {
-    (void)state;
     check_adam(0);
     check_adam(1);
 }
@@ -472,7 +466,6 @@ static void test_step_is_adam(void **state)
 /* Largest opacity drawn, with appearance and without; frames without leave embeddings alone. */
 static void test_opacity_statistic(void **state)
 {
-    (void)state;
     struct look l = look_make(92, 50, LEN, HIDDEN, 0);
     struct view_case plain = l.s;
     struct trainer t = trainer_make(&l.s.g);
@@ -518,7 +511,6 @@ static void test_opacity_statistic(void **state)
 /* Embeddings that are no numbers: drawn as if 0, harmless to the others. */
 static void test_hostile_embeddings(void **state)
 {
-    (void)state;
     static const float odd[] = {NAN, INFINITY, -INFINITY, 1e30f, 0.0f, 1e-30f};
     for (uint32_t width = 0; width < 2; width++) {
         struct dev *d = dev_get();
@@ -591,13 +583,11 @@ static void digest(char out[33])
 
 static void test_same_bits(void **state)
 {
-    (void)state;
     kit_same_bits(digest);
 }
 
 static void test_errors(void **state)
 {
-    (void)state;
     struct look l = look_make(50, 4, 4, 4, 0);
     struct trainer t = trainer_make(&l.s.g);
     struct render_appearance_grad a = {0};

@@ -169,7 +169,6 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
 
 static void test_step_is_adam(void **state)
 {
-    (void)state;
     check_adam(false, -1, 0);
     check_adam(true, -1, 0);
     check_adam(false, 1, 0);
@@ -286,7 +285,6 @@ static void check_coast(uint32_t width)
 
 static void test_moments_fall_as_they_should(void **state)
 {
-    (void)state;
     check_coast(0);
     check_coast(1);
 }
@@ -294,7 +292,6 @@ static void test_moments_fall_as_they_should(void **state)
 /* F1: what must never be in a model is repaired, and counted. */
 static void test_repairs(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(32, 40, RENDER_AA_2D, 1);
     struct gauss out = {0};
     for (size_t a = 0; a < 4; a++) {
@@ -323,7 +320,6 @@ static void test_repairs(void **state)
 /* A gradient that is not finite: those Gaussians stay as they are, the others move. */
 static void test_dropped_updates(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(33, 48, RENDER_AA_2D, 1);
     s.rgb_grad[3 * (PX_W * 10 + 20)] = (double)NAN;
     s.rgb_grad[3 * (PX_W * 20 + 9) + 1] = (double)INFINITY;
@@ -347,7 +343,6 @@ static void test_dropped_updates(void **state)
 /* F2: anything that Adam and densification can bring about stays finite, forwards and backwards. */
 static void test_wild_shapes(void **state)
 {
-    (void)state;
     const size_t n = 20000;
     struct view_case s = view_case_make(34, n, RENDER_AA_2D, 0);
     for (size_t i = 0; i < n; i++) {
@@ -418,7 +413,6 @@ static void composite(const struct view_case *s, const struct ref_view *v,
 
 static void test_density_statistics(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(36, 20, RENDER_AA_2D, 0);
     struct ref_view v;
     struct ref_splat *splats;

@@ -48,7 +48,6 @@ static void a_flight_is_one_lens_and_one_place(void **state)
 {
     struct err e = {0};
     struct align_plan p;
-    (void)state;
     kit_ok(align_plan_read(images, &p, &e), e);
     assert_int_equal(p.n, PHOTOS);
     assert_int_equal(p.n_usable, PHOTOS);
@@ -66,7 +65,6 @@ static void pairs_are_neighbours_and_successors(void **state)
 {
     struct err e = {0};
     struct align_plan p;
-    (void)state;
     kit_ok(align_plan_read(images, &p, &e), e);
     kit_ok(align_plan_pairs(&p, NEIGHBOURS, NEXT, &e), e);
     assert_true(p.n_pairs >= PHOTOS - 1 && p.n_pairs <= PHOTOS * (NEIGHBOURS + NEXT));
@@ -121,7 +119,6 @@ static void what_speaks_against_photographs(void **state)
     struct image sharp = {0}, soft = {0};
     struct buf b = {0};
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX];
-    (void)state;
     kit_ok(align_plan_read(images, &p, &e), e);
     kit_ok(file_join(from, images, p.photos[3].name, &e), e);
     align_plan_free(&p);
@@ -157,7 +154,6 @@ static void what_speaks_against_photographs(void **state)
 
 static void sizes_follow_the_time_there_is(void **state)
 {
-    (void)state;
     struct align_photo photo = {.width_px = 5472, .height_px = 3648, .copy_of = SIZE_MAX};
     struct align_plan p = {
         .photos = &photo, .n = 1, .n_usable = 300, .megapixels = 20, .n_pairs = 3000};
@@ -195,7 +191,6 @@ static void folders_without_use_are_errors(void **state)
     struct err e = {0};
     struct align_plan p;
     char empty[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(empty, kit_tmp, "empty", &e), e);
     kit_fails(align_plan_read(empty, &p, &e), ERR_NOENT, e, "no such folder");
     kit_ok(file_mkdir(empty, &e), e);

@@ -289,7 +289,6 @@ static void exact_gps_gives_one_similarity(void **state)
     struct survey s;
     struct sim3 ours, theirs;
     char dir[FILE_PATH_MAX];
-    (void)state;
     needs_colmap();
     join(dir, kit_tmp, "exact");
     city_make(dir, 0, 0);
@@ -310,7 +309,6 @@ static void bad_gps_leaves_ours_nearer(void **state)
     struct survey exact, bad;
     struct sim3 truth, ours, theirs;
     char dir[FILE_PATH_MAX];
-    (void)state;
     needs_colmap();
     join(dir, kit_tmp, "exact");
     city_make(dir, 0, 0);
@@ -342,7 +340,6 @@ static void caliterra_stands_upright(void **state)
     struct sim3 ours, plain, robust, flat;
     const char *dir = getenv("CITYSPLAT_CALITERRA");
     char path[FILE_PATH_MAX];
-    (void)state;
     needs_colmap();
     dir = dir ? dir : "../shared/data/caliterra";
     join(path, dir, "images");

@@ -58,7 +58,6 @@ static int setup(void **state)
     struct err e = {0};
     struct ingest_config c;
     char dir[FILE_PATH_MAX], images[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(tmp);
     make_city("exact", 0);
     make_city("city", 2);
@@ -75,7 +74,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     scene_free(&by_gps);
     arena_free(&texts);
     kit_rmdir(tmp);
@@ -632,7 +630,6 @@ static void mistakes_are_named(void **state)
     static struct row r[ROWS];
     struct buf out = {0};
     char list[FILE_PATH_MAX];
-    (void)state;
     list_write(r, survey(1, EPSG, r), "EPSG:32632", FORM_ODM, list);
     assert_int_equal(run(list, "", &out), 0);
     if (strstr((const char *)out.data, "suspect") || strstr((const char *)out.data, "likely"))
@@ -670,7 +667,6 @@ static void keeping_a_mistake_costs(void **state)
     static struct row r[ROWS];
     struct buf out = {0};
     char list[FILE_PATH_MAX];
-    (void)state;
     size_t n = survey(1, EPSG, r);
     eight_off(r, n);
     list_write(r, n, "EPSG:32632", FORM_ODM, list);
@@ -687,7 +683,6 @@ static void two_points_are_no_rmse(void **state)
     static struct row r[ROWS];
     struct buf out = {0};
     char list[FILE_PATH_MAX];
-    (void)state;
     size_t n = survey(1, EPSG, r), kept = 0;
     for (size_t i = 0; i < n; i++)
         if (!strcmp(r[i].name, "p0") || !strcmp(r[i].name, "p2") || !strcmp(r[i].name, "p10"))
@@ -757,7 +752,6 @@ static void predicted_errors_are_true(void **state)
     struct err e = {0};
     struct colmap_model m;
     struct sums s = {{0}, {0}, {0}, {0}};
-    (void)state;
     kit_ok(colmap_read(city, &m, &e), e);
     struct gcp_view *views = mem_array(m.n_images, sizeof *views);
     for (size_t i = 0; i < m.n_images; i++) {

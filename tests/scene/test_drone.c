@@ -69,7 +69,6 @@ static void attributes_are_read(void **state)
                      {"drone-dji:AltitudeType", "Rtk"},
                      {NULL, NULL}};
     struct drone_meta m;
-    (void)state;
     drone_read(look_up, dji, &m);
     assert_true(m.has_relative && m.has_absolute && m.has_up && !m.ellipsoidal);
     assert_true(fabs(m.relative_m - 60.1) < 1e-9 && fabs(m.absolute_m - 123.45) < 1e-9);
@@ -148,7 +147,6 @@ static void files_are_read(void **state)
     struct image_gps gps, plain;
     struct drone_meta m;
     struct err e = {0};
-    (void)state;
     first_photo(from);
     kit_ok(file_join(to, kit_tmp, "xmp.jpg", &e), e);
     kit_ok(image_read_info(from, NULL, NULL, &plain, &m, &e), e);
@@ -345,7 +343,6 @@ static void barometers_keep_the_level(void **state)
                                  .tilt_deg = (double)NAN};
     json_t *r;
     double up_m, tilt, exif_up_m, exif_tilt;
-    (void)state;
     ingest_flight("exif", &f, 0, true, &r, &exif_up_m, &exif_tilt);
     assert_true(number(r, "altitudes", "exif") > 30 && number(r, "altitudes", "barometer") == 0);
     json_decref(r);
@@ -373,7 +370,6 @@ static void rtk_counts_from_the_ellipsoid(void **state)
         .barometer_m = 0.1, .absolute_m = 0.02, .tilt_deg = (double)NAN, .rtk = true};
     json_t *r;
     double up_m, tilt;
-    (void)state;
     ingest_flight("rtk", &f, 40, false, &r, &up_m, &tilt);
     printf("drone: RTK's altitudes: %.3f m off, tilted by %.3f deg\n", up_m, tilt);
     assert_true(number(r, "altitudes", "rtk") > 30);
@@ -429,7 +425,6 @@ static void altitudes_are_believed_by_a_table(void **state)
          (double)NAN,
          0},
     };
-    (void)state;
     log_set_level(LOG_ERROR);
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct flight f = cases[i].flight;
@@ -484,7 +479,6 @@ static void packets_have_many_forms(void **state)
     struct image_gps gps;
     struct drone_meta m;
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX], side[FILE_PATH_MAX];
-    (void)state;
     first_photo(from);
     kit_ok(file_join(to, kit_tmp, "form.jpg", &e), e);
     for (size_t i = 0; i < sizeof forms / sizeof *forms; i++) {
@@ -533,7 +527,6 @@ static void gimbals_tell_the_tilt(void **state)
                                 .wobble_deg = 40};
     json_t *r;
     double up_m, tilt;
-    (void)state;
     ingest_flight("gimbal", &f, 0, false, &r, &up_m, &tilt);
     printf("drone: gimbals off by 0.3 deg each, GPS by 1.5 m: tilted by %.3f deg, %.3f said\n",
            tilt, DEG * number(r, "gimbals", "tilt_rad"));

@@ -10,6 +10,7 @@
 #include "codec/image/image.h"
 #include "codec/scene/scene.h"
 #include "core/splat/exposure.h"
+#include "lab/eval/exposure_fit.h"
 #include "scene/ingest/ingest_internal.h"
 #include "tests/kit.h"
 
@@ -17,7 +18,6 @@ enum { W = 96, H = 64, PHOTOS = 10, POINTS = 60, PATCH = 2 };
 
 static void bytes_come_back_from_the_mean_exposure(void **state)
 {
-    (void)state;
     static const float evs[][3] = {{0, 0, 0}, {0.5f, 0.25f, -0.25f}, {-1, -1.2f, -0.8f}};
     for (size_t c = 0; c < sizeof evs / sizeof *evs; c++) {
         uint8_t table[3][256];
@@ -42,7 +42,6 @@ static void bytes_come_back_from_the_mean_exposure(void **state)
 
 static void a_drawing_tells_the_exposure_of_its_photograph(void **state)
 {
-    (void)state;
     const float ev[3] = {0.7f, 0.4f, -0.3f};
     float drawn[W * H * 3], taken[W * H * 3], got[3];
     uint8_t px[W * H * 3], mask[W * H];
@@ -108,7 +107,6 @@ static void write_photos(struct ingest *g, float want[PHOTOS][3])
 
 static void ingest_finds_what_each_photograph_was_exposed_with(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct ingest g = {0};
     char path[FILE_PATH_MAX + 64];

@@ -38,7 +38,6 @@ static int views(double x, double y)
 
 static void test_known_survey(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint f;
     struct err e = {0};
@@ -97,7 +96,6 @@ static void test_known_survey(void **state)
 
 static void test_geojson_and_back(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint f, g;
     struct buf b = {0};
@@ -146,7 +144,6 @@ static void test_geojson_and_back(void **state)
 /* A hole stays a hole, and two islands two polygons. */
 static void test_holes(void **state)
 {
-    (void)state;
     static const char text[] =
         "{\"type\":\"FeatureCollection\",\"features\":["
         "{\"type\":\"Feature\",\"geometry\":{\"type\":\"Polygon\",\"coordinates\":["
@@ -197,7 +194,6 @@ static void expect(const char *text, enum err_code want, const char *word)
 
 static void test_bad_input(void **state)
 {
-    (void)state;
     struct scene s = {0};
     struct footprint f;
     struct err e = {0};
@@ -236,7 +232,6 @@ static void test_bad_input(void **state)
 /* Any allocation may fail: then it says so, and makes no other footprint. */
 static void test_out_of_memory(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint want, f;
     bool done = false;

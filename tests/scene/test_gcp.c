@@ -48,7 +48,6 @@ static int setup(void **state)
     struct err e = {0};
     struct ingest_config ic;
     char dir[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(tmp);
     kit_ok(file_join(city, tmp, "city", &e), e);
     kit_ok(file_join(images, city, "images", &e), e);
@@ -61,7 +60,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     scene_free(&by_gps);
     arena_free(&texts);
     kit_rmdir(tmp);
@@ -160,7 +158,6 @@ static void control_points_place_the_scene(void **state)
     struct gcp_list l;
     struct ingest_config ic;
     char path[FILE_PATH_MAX], dir[FILE_PATH_MAX];
-    (void)state;
     write_list(&b, which, 6, 8, 4);
     put("gcp_list.txt", (char *)b.data, path);
     buf_free(&b);
@@ -195,7 +192,6 @@ static void control_points_place_the_scene(void **state)
 static void one_photograph_and_two_points_do(void **state)
 {
     static const size_t four[4] = {0, 1, 2, 3}, two[2] = {0, 2};
-    (void)state;
     for (size_t i = 0; i < 4; i++) {
         double least = HUGE_VAL, want[2] = {places[i][0], places[i][1]};
         for (size_t k = 0; k < by_gps.n_points; k++) {
@@ -265,7 +261,6 @@ static void a_wrong_pose_turns_nothing_over(void **state)
     struct ingest_config ic;
     struct scene s;
     char path[FILE_PATH_MAX], dir[FILE_PATH_MAX], poses[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(poses, tmp, "poses", &e), e);
     write_poses_with_a_wrong_one(poses);
     write_list(&b, two, 2, 3, 1);
@@ -295,7 +290,6 @@ static void control_points_mend_gps(void **state)
     struct gcp_list l;
     struct ingest_config ic;
     char path[FILE_PATH_MAX], dir[FILE_PATH_MAX], noisy[FILE_PATH_MAX], photos[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(noisy, tmp, "noisy", &e), e);
     kit_ok(file_join(photos, noisy, "images", &e), e);
     make_city(noisy, 3);
@@ -347,7 +341,6 @@ static void the_report_tells_them(void **state)
                                         "A &lt;b&gt; &amp; c"};
     static const char *const never[] = {"<script", "http:", "https:", "nan"};
     struct buf out = {0};
-    (void)state;
     assert_int_equal(
         kit_run(&out,
                 "cd '%s' && '%s' report -q noisy-gcp -o report.html --title 'A <b> & c' "
@@ -372,7 +365,6 @@ static void csv_is_read(void **state)
     struct err e = {0};
     struct gcp_list l;
     char path[FILE_PATH_MAX];
-    (void)state;
     put("a.csv",
         "# by hand\nName, Image, px, py, Easting, Northing, Height\r\n"
         "north, DJI_1.JPG, 10.5, 20, 634676, 485344, 112\r\n"
@@ -467,7 +459,6 @@ static void marks_go_to_the_photograph_in_their_folder(void **state)
     struct colmap_model m;
     char poses[FILE_PATH_MAX], photos[FILE_PATH_MAX], path[FILE_PATH_MAX], from[FILE_PATH_MAX],
         dir[FILE_PATH_MAX], name[64];
-    (void)state;
     kit_ok(file_join(poses, tmp, "two-folders", &e), e);
     kit_ok(file_join(photos, tmp, "two-folders/images", &e), e);
     assert_int_equal(kit_run(NULL, "mkdir -p '%s/sparse' '%s/a' '%s/b'", poses, photos, photos), 0);
@@ -521,7 +512,6 @@ static void nonsense_is_refused(void **state)
     struct ingest_config ic;
     struct buf b = {0}, out = {0};
     char path[FILE_PATH_MAX], dir[FILE_PATH_MAX];
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         put("bad.txt", bad[i].text, path);
         kit_fails(gcp_read(path, &l, &e), bad[i].rc, e, bad[i].says);

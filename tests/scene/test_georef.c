@@ -136,7 +136,6 @@ static void count_drops(const struct survey *s, const struct georef_result *r, s
 
 static void test_exact(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     for (uint64_t seed = 0; seed < 10; seed++) {
@@ -162,7 +161,6 @@ static void test_exact(void **state)
  * expected), and their root mean square must show that no information is lost. */
 static void test_noise_and_outliers(void **state)
 {
-    (void)state;
     static const size_t counts[] = {60, 120, 200};
     struct survey s;
     struct err e = {0};
@@ -209,7 +207,6 @@ static void test_noise_and_outliers(void **state)
 /* Heights of the second half 12 m (and more) higher; flights known by time, or not. */
 static void test_two_flights(void **state)
 {
-    (void)state;
     static const double offsets[] = {12, -12, 35, 90};
     struct survey s;
     struct err e = {0};
@@ -251,7 +248,6 @@ static void test_two_flights(void **state)
  * it, at most 5 % are dropped, and no second flight is invented. */
 static void test_drifting_heights(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     for (uint64_t seed = 0; seed < SEEDS; seed++) {
@@ -279,7 +275,6 @@ static void test_drifting_heights(void **state)
 /* A camera 15 m from where it says, good GPS: flagged, and nothing else. */
 static void test_pose_errors(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     for (uint64_t seed = 0; seed < SEEDS; seed++) {
@@ -310,7 +305,6 @@ static void test_pose_errors(void **state)
 /* One straight line, looking down or aslant: the roll comes from the cameras. */
 static void test_collinear(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     for (uint64_t seed = 0; seed < SEEDS; seed++) {
@@ -345,7 +339,6 @@ static void test_collinear(void **state)
  * gimbals tell it. */
 static void test_collinear_sideways(void **state)
 {
-    (void)state;
     static struct survey s;
     struct err e = {0};
     double worst[2] = {0};
@@ -390,7 +383,6 @@ static void test_collinear_sideways(void **state)
 
 static void test_upright_without_gps(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     for (uint64_t seed = 0; seed < 20; seed++) {
@@ -411,7 +403,6 @@ static void test_upright_without_gps(void **state)
 /* Cameras on a string hang askew, all to the same side and each a little otherwise. */
 static void test_upright_under_a_kite(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     double worst = 0;
@@ -440,7 +431,6 @@ static void test_upright_under_a_kite(void **state)
 
 static void test_refused(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     struct georef_result r;
@@ -466,7 +456,6 @@ static void test_refused(void **state)
 
 static void test_out_of_memory(void **state)
 {
-    (void)state;
     struct survey s;
     struct err e = {0};
     struct georef_result r;

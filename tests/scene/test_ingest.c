@@ -98,7 +98,6 @@ static double track_error(const struct scene *s)
 /* A distorted camera, exact GPS, pictures shrunk by half: poses, tracks, split, pictures. */
 static void test_whole_way(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     struct synth_config sc;
     struct ingest_config ic;
@@ -145,7 +144,6 @@ static void test_whole_way(void **state)
 /* --test-block: the share asked for, together in one place, and nothing else tests. */
 static void test_a_block_is_held_out(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
@@ -199,7 +197,6 @@ static size_t dropped_as(const json_t *report, const char *what, size_t *n)
 /* GPS outliers, wrong poses and a second flight 12 m higher, all at once. */
 static void test_everything_wrong(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
@@ -267,7 +264,6 @@ static void smooth(double u, double v, double rgb[3])
 
 static void test_undistorted_pixels(void **state)
 {
-    (void)state;
     static const struct lens lenses[] = {
         {LENS_SIMPLE_RADIAL, 320, 240, {250, 160, 120, -0.12}},
         {LENS_SIMPLE_RADIAL, 320, 240, {250, 160, 120, 0.10}},
@@ -360,7 +356,6 @@ static void few_points(struct colmap_model *m, size_t most)
 
 static void test_bad_input(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX], photo[FILE_PATH_MAX], images[FILE_PATH_MAX],
         other[FILE_PATH_MAX];
     struct synth_config sc;
@@ -437,7 +432,6 @@ static void test_bad_input(void **state)
 /* Photographs without GPS: a scene without metres, or placed by hand. */
 static void test_without_gps(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
@@ -498,7 +492,6 @@ static void test_without_gps(void **state)
  */
 static void test_caliterra(void **state)
 {
-    (void)state;
     const char *dir = getenv("CITYSPLAT_CALITERRA");
     if (!dir)
         dir = "../shared/data/caliterra";
@@ -541,7 +534,6 @@ static int teardown(void **state)
 /* A photograph that cannot be read is named and set aside: no picture and half of one. */
 static void test_broken_photographs(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX], images[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
@@ -590,7 +582,6 @@ static void test_broken_photographs(void **state)
 /* COLMAP's models 0 and 1: the larger counts, in whatever order; what it lacks is named. */
 static void test_largest_model(void **state)
 {
-    (void)state;
     char city[FILE_PATH_MAX], out[FILE_PATH_MAX], from[FILE_PATH_MAX], to[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
@@ -713,7 +704,6 @@ static void test_other_systems(void **state)
                  {half, "*.webp", "*.webp", true},
                  {whole, "*.png", "*.png", false},
                  {nothing, "*.png", "*.png", false}};
-    (void)state;
     char city[FILE_PATH_MAX], dir[FILE_PATH_MAX], out[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;

@@ -18,14 +18,12 @@ static char tmp[FILE_PATH_MAX];
 
 static int setup(void **state)
 {
-    (void)state;
     kit_tmpdir(tmp);
     return 0;
 }
 
 static int teardown(void **state)
 {
-    (void)state;
     kit_rmdir(tmp);
     return 0;
 }
@@ -57,7 +55,6 @@ static void points_come_without_marks(void **state)
         "EPSG:2180\n634676.125 485344.5 112.25 north\n1 2 3 4.5 6 a.jpg south\n",
         "# EPSG:2180\nid;x;y;z;u;v;image\nnorth;634676.125;485344.5;112.25\nsouth;1;2;3;4;6;a.j\n"};
     char path[FILE_PATH_MAX];
-    (void)state;
     for (size_t i = 0; i < 3; i++) {
         struct err e = {0};
         struct gcp_list l;
@@ -84,7 +81,6 @@ static void bad_points_are_refused_by_line(void **state)
                {"name,x,y,z\na,1,2,3\na,1,2,4\n", "line 3: ground control point a lies at"},
                {"name,x,y,z\na,1,2,3,4,5\n", "line 2: 6 fields"}};
     char path[FILE_PATH_MAX];
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         struct err e = {0};
         struct gcp_list l;
@@ -96,7 +92,6 @@ static void bad_points_are_refused_by_line(void **state)
 static void lists_are_read_as_they_were_written(void **state)
 {
     char path[FILE_PATH_MAX];
-    (void)state;
     for (int form = GCP_FORM_ODM; form <= GCP_FORM_CSV; form++) {
         struct err e = {0};
         struct gcp_list a, b;
@@ -166,7 +161,6 @@ static void systems_are_known_by_their_text(void **state)
         {"PROJCS", false, 0, 0},
         {"WGS84 UTM 32N", false, 0, 0},
         {"", false, 0, 0}};
-    (void)state;
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         int epsg, heights;
         assert_true(wkt_epsg(all[i].wkt, &epsg, &heights) == all[i].known);
@@ -230,7 +224,6 @@ static void markers_of_metashape_are_read_and_written(void **state)
     struct err e = {0};
     struct gcp_list a, b;
     char path[FILE_PATH_MAX];
-    (void)state;
     put("markers.xml", markers, path);
     kit_ok(gcp_read(path, &a, &e), e);
     expect_markers(&a);
@@ -266,7 +259,6 @@ static void bad_markers_are_refused_by_line(void **state)
                 "has over 63 bytes"},
                {"camera_id=\"7\" pinned=\"1\"", "camera_id=\"0\" pinned=\"1\"", "both mark"},
                {"<markers next_id=\"4\">", "<nothing>", "mismatched tag"}};
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         struct err e = {0};
         struct gcp_list l;
@@ -301,7 +293,6 @@ static void tables_of_metashape_are_read(void **state)
         "surveyed,DJI_1,1,1\n",
         "image_name,gcp_name,image_u,image_v\nDJI_1,point 2,1024.5,3.125\nb/DJI_2.JPG,point "
         "1,7,8\n"};
-    (void)state;
     for (size_t i = 0; i < 2; i++) {
         struct err e = {0};
         struct gcp_list l;
@@ -347,7 +338,6 @@ static void labels_without_endings_are_photographs(void **state)
                {"\u0421\u0435\u0432/1.jpg", "\u0417\u0430\u043f/1.jpg", false},
                {"o\u0308/1.jpg", "u\u0308/1.jpg", false},
                {"K\u00f6ln_1.jpg", "K\u00f6ln_2.jpg", false}};
-    (void)state;
     for (size_t i = 0; i < sizeof all / sizeof *all; i++)
         assert_true((table_alike(all[i].photo, all[i].listed) > 0) == all[i].alike);
     assert_true(table_alike("DJI_1.JPG", "DJI_1.JPG") > table_alike("DJI_1.JPG", "DJI_1"));
@@ -474,7 +464,6 @@ static void places_are_expected_through_the_lens(void **state)
     struct marking_spot spots[PHOTOS];
     char path[FILE_PATH_MAX];
     struct err e = {0};
-    (void)state;
     kit_ok(file_join(path, tmp, "expected.txt", &e), e);
     open_desk(&m, path, true, 0);
     for (size_t i = 0; i < 4; i++)
@@ -505,7 +494,6 @@ static void a_wrong_mark_and_a_wrong_point_show(void **state)
     char path[FILE_PATH_MAX];
     struct err e = {0};
     size_t bad = 0;
-    (void)state;
     kit_ok(file_join(path, tmp, "wrong.csv", &e), e);
     open_desk(&m, path, true, 0);
     mark_in(m, 0, 4, 30);
@@ -527,7 +515,6 @@ static void changes_are_in_the_file(void **state)
     struct gcp_list l;
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(path, tmp, "file.txt", &e), e);
     open_desk(&m, path, true, 0);
     kit_ok(marking_set(m, 1, 2, at, &e), e);
@@ -557,7 +544,6 @@ static void marks_are_in_a_file_for_metashape(void **state)
     struct gcp_list l;
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(path, tmp, "file.xml", &e), e);
     open_desk(&m, path, true, 0);
     kit_ok(marking_set(m, 0, 3, at, &e), e);

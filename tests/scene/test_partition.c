@@ -64,7 +64,6 @@ static struct partition_config cells_of(double edge_m)
 
 static void a_grid_covers_every_camera_and_cells_tile_the_plane(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p;
@@ -98,7 +97,6 @@ static void a_grid_covers_every_camera_and_cells_tile_the_plane(void **state)
 
 static void visibility_adds_photographs_that_look_in(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition with, without;
@@ -164,7 +162,6 @@ static void oblique_make(size_t nx, size_t ny, double step, struct scene *s)
 /* F14: the photographs of a cell see all of it, though most of them were taken elsewhere. */
 static void every_point_of_a_cell_is_seen_by_three_of_its_photographs(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p;
@@ -208,7 +205,6 @@ static void every_point_of_a_cell_is_seen_by_three_of_its_photographs(void **sta
 
 static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p;
@@ -247,7 +243,6 @@ static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
 
 static void empty_and_tiny_cells_become_background(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p;
@@ -280,7 +275,6 @@ static void empty_and_tiny_cells_become_background(void **state)
 
 static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p, q;
@@ -358,7 +352,6 @@ static void flight_turn(struct scene *s, double yaw_rad, const double o[2])
  * origin. */
 static void a_turned_grid_cuts_a_turned_scene_alike(void **state)
 {
-    (void)state;
     enum { PLACES = 200 };
     struct err e = {0};
     struct scene s[2];
@@ -430,7 +423,6 @@ static void a_turned_grid_cuts_a_turned_scene_alike(void **state)
 
 static void what_lies_outside_of_all_cells_is_owned_by_the_nearest(void **state)
 {
-    (void)state;
     enum { PLACES = 500 };
     struct err e = {0};
     struct scene s;
@@ -466,7 +458,6 @@ static void parts_make(struct scene *s, struct partition *p, double share_min)
 
 static void every_photograph_is_shared_out_among_the_cells_that_it_shows(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p;
@@ -513,7 +504,6 @@ static void every_photograph_is_shared_out_among_the_cells_that_it_shows(void **
 
 static void a_part_is_much_smaller_than_the_photograph_and_its_camera_is_shifted(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p;
@@ -546,7 +536,6 @@ static void a_part_is_much_smaller_than_the_photograph_and_its_camera_is_shifted
 
 static void the_plan_says_whether_photographs_are_cut(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     struct partition p, again;

@@ -93,7 +93,6 @@ static void config(struct ingest_config *c, struct arena *a)
 
 static void test_outliers(void **state)
 {
-    (void)state;
     static struct town t;
     static struct scene_point before[ROOM];
     struct ingest_config cfg;
@@ -132,7 +131,6 @@ static void test_outliers(void **state)
 
 static void test_off_and_empty(void **state)
 {
-    (void)state;
     static struct town t;
     struct scene none = {0};
     struct ingest_config cfg;

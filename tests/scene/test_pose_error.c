@@ -130,7 +130,6 @@ static double picture_moved(const double pose[POSE])
 /* Points that 30 others hold: the pose is off as far as is said, wherever the points lie. */
 static void test_rounds(void **state)
 {
-    (void)state;
     static const double spreads_m[] = {120, 30};
     static struct survey s;
     for (size_t k = 0; k < 2; k++) {
@@ -155,7 +154,6 @@ static void test_rounds(void **state)
 
 static void test_little(void **state)
 {
-    (void)state;
     static struct survey s;
     survey_make(&s, 120, 60, OTHERS);
     struct pose_error good = survey_first(&s);
@@ -193,7 +191,6 @@ static void test_little(void **state)
 /* Pictures larger than those that train may be off by as much in these. */
 static void test_most(void **state)
 {
-    (void)state;
     struct lens small = {.width_px = 320, .height_px = 240},
                 large = {.width_px = 3000, .height_px = 4800};
     assert_true(pose_error_most_px(&small) == 2);

@@ -48,7 +48,6 @@ static int setup(void **state)
     struct err e = {0};
     struct ingest_config c;
     char dir[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(tmp);
     make_city("exact", 0, city);
     kit_ok(options_defaults(ingest_options(), &c, &texts, &e), e);
@@ -65,7 +64,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     scene_free(&truth);
     arena_free(&texts);
     kit_rmdir(tmp);
@@ -132,7 +130,6 @@ static void accuracies_weigh(void **state)
     struct crs *crs;
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
     double alike[2], weighed[2], flat[2];
-    (void)state;
     kit_ok(crs_open(32632, &crs, &e), e);
     buf_printf(&with, "Label,Longitude,Latitude,Ellipsoidal height,Accuracy horizontal (m),"
                       "Accuracy vertical (m)\n");
@@ -181,7 +178,6 @@ static void dji_numbers_photographs(void **state)
     struct buf b = {0}, out = {0};
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
     double rms[2];
-    (void)state;
     for (size_t i = 0; i < PHOTOS; i++) {
         const char *digits = truth.images[i].name + strcspn(truth.images[i].name, "0123456789");
         double at[3];
@@ -217,7 +213,6 @@ static void events_are_matched_by_time(void **state)
     struct err e = {0};
     struct buf b = {0}, week = {0};
     char path[FILE_PATH_MAX], names[N][16];
-    (void)state;
     buf_printf(&b, "%% program   : RTKLIB\n%% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float)\n"
                    "%%  GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) "
                    "sdne(m) sdeu(m) sdun(m) age(s) ratio\n");
@@ -367,7 +362,6 @@ static void tables_of_other_programs_are_read(void **state)
     struct positions p;
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     log_set_level(LOG_ERROR);
     for (size_t i = 0; i < sizeof tables / sizeof *tables; i++) {
         put("other.csv", tables[i].text, path);
@@ -407,7 +401,6 @@ static void tables_in_utf16_are_read(void **state)
     struct positions p;
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(path, tmp, "wide.csv", &e), e);
     for (unsigned form = 0; form < 4; form++) {
         const bool big = form & 1, mark = form & 2;
@@ -445,7 +438,6 @@ static void a_comma_that_may_separate_thousands_is_told(void **state)
         {"p1;634,6760;5,55", "p1;634.6760;5.55", false},
         {"p1;634,676.5;5.5", "p1;634,676.5;5.5", false}, /* no number: refused by who reads it */
     };
-    (void)state;
     for (size_t i = 0; i < sizeof row / sizeof *row; i++) {
         struct table t = {.path = "list.csv", .line = i + 1};
         char line[64];
@@ -476,7 +468,6 @@ static void nonsense_is_refused(void **state)
     struct err e = {0};
     struct buf out = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         put(bad[i].name, bad[i].text, path);
         enum err_code rc = positions_read(path, &p, &e);
@@ -504,7 +495,6 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     struct buf out = {0};
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
     double rms[2];
-    (void)state;
     kit_ok(file_join(path, tmp, "country.gtx", &e), e);
     kit_gtx(path, 46, 6);
     kit_ok(geoid_open(path, &g, &e), e);

@@ -119,7 +119,6 @@ static int pictures_remove(void **state)
 /* A place in the plane falls on the same pixels by the map as by the cameras. */
 static void a_plane_maps_pixels_as_the_cameras_do(void **state)
 {
-    (void)state;
     for (size_t k = 0; k < input.n_near; k++)
         for (uint64_t i = 0; i < 50; i++) {
             double at[3] = {8 * rng_unit(1, k, i) - 4, 8 * rng_unit(2, k, i) - 4,
@@ -139,7 +138,6 @@ static void a_plane_maps_pixels_as_the_cameras_do(void **state)
 /* A place in an upright plane too, and each pixel's heights lie in the planes of its tile. */
 static void an_upright_plane_maps_pixels_as_the_cameras_do(void **state)
 {
-    (void)state;
     for (size_t k = 0; k < aslant.n_near; k++)
         for (uint32_t tile = 0; tile < 2; tile++)
             for (uint64_t i = 0; i < 30; i++) {
@@ -193,7 +191,6 @@ static void walls_are_found_by_upright_planes(void **state)
     static double want[N], want_score[N];
     struct sweep_input without = aslant;
     uint32_t own = dev.vector_width;
-    (void)state;
     kit_ok(sweep_ref_run(&aslant, want, want_score, &(struct err){0}), (struct err){0});
     for (int shape = 0; shape < 2; shape++) {
         struct err e = {0};
@@ -259,7 +256,6 @@ static void check_kernels(uint32_t width)
 
 static void kernels_equal_the_reference(void **state)
 {
-    (void)state;
     check_kernels(0);
     check_kernels(1);
 }
@@ -270,7 +266,6 @@ static void senseless_sweeps_are_refused(void **state)
     struct sweep_input none = input, many = input;
     struct err e = {0};
     struct sweep *s;
-    (void)state;
     kit_fails(sweep_open(&dev, 1, &s, &e), ERR_ARG, e, "planes");
     kit_ok(sweep_open(&dev, 32, &s, &e), e);
     none.n_near = 0;
@@ -289,7 +284,6 @@ static void cubes_hold_the_mean_of_their_samples(void **state)
     float *points;
     size_t n;
     struct err e = {0};
-    (void)state;
     kit_ok(fuse_samples(samples, 4, 1.0, &points, &n, &e), e);
     assert_int_equal(n, 3);
     double sum[6] = {0};
@@ -367,7 +361,6 @@ static void a_city_from_its_photographs(void **state)
 {
     struct buf out = {0};
     const char *bin = kit_program();
-    (void)state;
     assert_int_equal(
         kit_run(&out,
                 "cd '%s' && '%s' synth -o city --photos 30 --extent-m 60 --width-px 240 "
@@ -422,8 +415,7 @@ static void neighbours_cover_the_picture(void **state)
     struct pairs pairs;
     char dir[FILE_PATH_MAX];
     size_t places[2] = {0}, covered[2] = {0}; /* shown by 2 to 4 others; by more */
-    (void)state;
-    (void)kit_program(); /* the scene of the test above */
+    (void)kit_program();                      /* the scene of the test above */
     kit_ok(file_join(dir, kit_tmp, "scene", &e), e);
     kit_ok(scene_read(dir, &scene, &e), e);
     uint8_t *use = mem_array(scene.n_images, 1);
@@ -486,7 +478,6 @@ static void training_refuses_other_folders(void **state)
     const size_t shape_five[2] = {1, 5}, shape_bad[2] = {1, 6};
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(path, kit_tmp, "again/points.npy", &e), e);
     refused("--depth-prior elsewhere", "citysplat stereo");
     kit_ok(npy_write(path, five, 2, shape_five, &e), e);

@@ -47,7 +47,6 @@ static void a_wall_hides_the_court(void **state)
     struct buf blob = {0};
     struct seen_grid seen;
     uint8_t inside[CELLS * CELLS];
-    (void)state;
     survey(&scene, &f, inside);
     kit_ok(support_open(&f, &s, &e), e);
     assert_int_equal(s.nx, 100);
@@ -91,7 +90,6 @@ static void middles_are_interpolated(void **state)
     uint8_t views[4] = {0, 4, 2, 8};
     const struct seen_grid s = {
         .corner_m = {10, 20}, .cell_m = 2, .nx = 2, .ny = 2, .views = views};
-    (void)state;
     assert_true(fabs(seen_at(&s, 11, 21)) < 1e-12);
     assert_true(fabs(seen_at(&s, 12, 21) - 2) < 1e-12);
     assert_true(fabs(seen_at(&s, 12, 22) - 3.5) < 1e-12);
@@ -108,7 +106,6 @@ static void bad_blobs_are_refused(void **state)
     struct seen_grid got;
     struct buf b = {0};
     struct err e = {0};
-    (void)state;
     assert_int_equal(seen_encode(&flat, &b, &e), ERR_ARG);
     kit_ok(seen_encode(&s, &b, &e), e);
     for (size_t n = 0; n < b.size; n++)

@@ -71,7 +71,6 @@ static bool same_file(const struct city *a, const struct city *b, const char *na
 
 static void test_same_seed_same_bytes(void **state)
 {
-    (void)state;
     static const char *const files[] = {"images/IMG_0003.jpg",      "images/IMG_0016.jpg",
                                         "sparse/0/cameras.bin",     "sparse/0/images.bin",
                                         "sparse/0/points3D.bin",    "truth/truth.json",
@@ -204,7 +203,6 @@ static void check_model(const struct city *c)
 
 static void test_model_agrees_with_truth(void **state)
 {
-    (void)state;
     char tmp[FILE_PATH_MAX];
     struct city a, b;
     kit_tmpdir(tmp);
@@ -240,7 +238,6 @@ static double mean_level(const char *dir, const char *sub, size_t i, const char 
 
 static void test_knobs(void **state)
 {
-    (void)state;
     char tmp[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     struct city c;
     struct err e = {0};
@@ -322,7 +319,6 @@ static void ray_down(const struct synth_city *c, uint64_t i, double dir[3], stru
  */
 static void test_gloss(void **state)
 {
-    (void)state;
     enum { RAYS = 4000 };
     struct synth_config cfg;
     struct arena arena = {0};
@@ -378,7 +374,6 @@ static void test_gloss(void **state)
 /* Paint of a tricky city has one albedo a class, and its shapes are those of the other city. */
 static void test_tricky(void **state)
 {
-    (void)state;
     enum { RAYS = 20000, PAINTS = SYNTH_GLASS + 1 };
     struct synth_config cfg;
     struct arena arena = {0};
@@ -454,7 +449,6 @@ static double nearest_m(const struct gauss *g, const double at[3])
 /* A block is put on open ground, nothing else moves, and straight rays measure its volume. */
 static void test_block(void **state)
 {
-    (void)state;
     enum { RASTER = 900 };
     const double step = 0.1;
     struct synth_config cfg;
@@ -496,7 +490,6 @@ static void test_block(void **state)
 
 static void test_splats_cover(void **state)
 {
-    (void)state;
     enum { N = 60000, PLACES = 300 };
     struct synth_splats s;
     struct synth_city c;
@@ -538,7 +531,6 @@ static void test_splats_cover(void **state)
 /* Several districts: all rows are there, and streets go on from one to the next. */
 static void test_splats_districts(void **state)
 {
-    (void)state;
     enum { N = 50000 };
     struct synth_splats s;
     struct synth_city a, b;
@@ -576,7 +568,6 @@ static void splats_write(const char *dir, const char *name, int64_t seed, char p
  * the same city. */
 static void test_splats_files(void **state)
 {
-    (void)state;
     char tmp[FILE_PATH_MAX], path[4][FILE_PATH_MAX], level[FILE_PATH_MAX];
     struct city base;
     struct buf one = {0}, other = {0};

@@ -77,7 +77,6 @@ static double ring(const struct gauss *g, double out)
 
 static void test_edge(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint f;
     struct trim t;
@@ -128,7 +127,6 @@ static void test_edge(void **state)
 /* Asked place by place it is what the cameras say, whichever way a cell is known. */
 static void test_places(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint f;
     struct trim t;
@@ -190,7 +188,6 @@ static void test_places(void **state)
 /* Without a footprint nothing is known and nothing changes. */
 static void test_nothing_known(void **state)
 {
-    (void)state;
     struct scene s = {0};
     struct footprint f = {0};
     struct trim t;

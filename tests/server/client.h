@@ -281,7 +281,6 @@ static inline size_t open_files(void)
 static inline int setup_all(void **state)
 {
     struct err e = {0};
-    (void)state;
     log_set_level(LOG_ERROR);
     kit_tmpdir(t.dir);
     kit_ok(file_join(t.path, t.dir, "toy.tiles", &e), e);
@@ -292,7 +291,6 @@ static inline int setup_all(void **state)
 
 static inline int teardown_all(void **state)
 {
-    (void)state;
     kit_rmdir(t.dir);
     return 0;
 }
@@ -300,7 +298,6 @@ static inline int teardown_all(void **state)
 static inline int setup(void **state)
 {
     struct err e = {0};
-    (void)state;
     arena_free(&t.arena);
     served_config(&t.cfg, &t.arena);
     kit_ok(file_mkdir(t.dir, &e), e);
@@ -312,7 +309,6 @@ static inline int setup(void **state)
 
 static inline int teardown(void **state)
 {
-    (void)state;
 #ifdef OVER_TLS
     if (t.server)
         tunnels_close(&t.tunnels);

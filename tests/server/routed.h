@@ -30,7 +30,6 @@ static inline int setup(void **state)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(t.dir);
     kit_ok(file_join(t.path, t.dir, "toy.tiles", &e), e);
     served_city(t.path, "toy", 50);
@@ -67,7 +66,6 @@ static inline int setup(void **state)
 
 static inline int teardown(void **state)
 {
-    (void)state;
     services_free(&t.s);
     arena_free(&t.arena);
     kit_rmdir(t.dir);

@@ -151,7 +151,6 @@ static double seam_measure(const char *dir, struct toy *t, const struct gauss *t
 
 static void cells_agree_on_appearance_at_their_border(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct gauss truth = {0};
@@ -189,7 +188,6 @@ static void cells_agree_on_appearance_at_their_border(void **state)
  * nothing. */
 static void a_single_cell_needs_the_shared_model(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
@@ -248,7 +246,6 @@ static void a_single_cell_needs_the_shared_model(void **state)
 /* A network that would learn nothing, or next to nothing, is refused. */
 static void a_network_needs_steps(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};

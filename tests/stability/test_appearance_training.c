@@ -37,7 +37,6 @@ enum { F7_NEIGHBOURS = 8 };
 
 static void without_changes_appearance_costs_nothing_and_opens_no_fog(void **state)
 {
-    (void)state;
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     double psnr[2], offset = 0.0;
@@ -61,7 +60,6 @@ static void without_changes_appearance_costs_nothing_and_opens_no_fog(void **sta
 
 static void changes_of_light_are_explained(void **state)
 {
-    (void)state;
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     double psnr[2];
@@ -216,7 +214,6 @@ static struct f7 f7_measure(const char *dir, double smoothness)
  * light that differs. */
 static void photographs_of_equal_light_may_swap_embeddings(void **state)
 {
-    (void)state;
     char dir[FILE_PATH_MAX];
     toy_appearance_scene(dir, 0.6);
     struct f7 m = f7_measure(dir, F7_WEIGHT), off = f7_measure(dir, 0.0);
@@ -234,7 +231,6 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
 
 static void embeddings_of_what_is_seen_move(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
@@ -342,7 +338,6 @@ static void resumes_bit_by_bit(enum schedule_order order, const int64_t *pieces,
 
 static void a_run_with_appearance_resumes_bit_by_bit(void **state)
 {
-    (void)state;
     /* the last two stop while level 2 takes over the network */
     static const int64_t up[] = {5, 20, 33, 41, 2, 60, 45, 2};
     resumes_bit_by_bit(SCHEDULE_COARSE_TO_FINE, up, sizeof up / sizeof up[0]);
@@ -356,7 +351,6 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
 /* The network learns at all levels; in the end coarser ones have the last network. */
 static void coarser_levels_take_over_the_network(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
@@ -410,7 +404,6 @@ static double psnr_of_training(struct toy_run *r, bool own)
 
 static void pruning_and_thinning_look_at_photographs_in_their_own_appearance(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     char dir[FILE_PATH_MAX];

@@ -128,7 +128,6 @@ static void ceilings_figure(const struct ceilings *c, const char *looking)
  * photograph, some have too few: the outside is at its ceiling. */
 static void cells_that_look_outside_keep_their_ceilings(void **state)
 {
-    (void)state;
     struct ring ring = {.ring_m = 15.0, .edge_m = 6.0};
     ring_train(&ring);
     size_t empty = 0, poor = 0, trained = 0;
@@ -152,7 +151,6 @@ static void cells_that_look_outside_keep_their_ceilings(void **state)
  * ceilings, and so is their sum. */
 static void cells_that_look_inside_keep_their_ceilings(void **state)
 {
-    (void)state;
     struct ring ring = {.ring_m = 9.0, .edge_m = 12.0};
     ring_train(&ring);
     ceilings_figure(&ring.ceilings, "in");

@@ -297,7 +297,6 @@ static void measure_city(const struct city *c)
 
 static void a_city_of_many_cells(void **state)
 {
-    (void)state;
     if (measured.scene[0]) {
         measure_city(&measured);
         return;

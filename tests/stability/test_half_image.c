@@ -86,7 +86,6 @@ static void half_fit(struct half_case *t, const struct photo *p, enum half_image
 /* A camera can be drawn in the appearance of any photograph; of one without, in the nearest's. */
 static void a_view_has_the_appearance_that_it_is_given(void **state)
 {
-    (void)state;
     struct half_case t;
     half_case_open(&t);
     const struct appearance *a = t.view.model;
@@ -118,7 +117,6 @@ static void a_view_has_the_appearance_that_it_is_given(void **state)
 
 static void the_score_of_a_half_does_not_know_the_other(void **state)
 {
-    (void)state;
     struct half_case t;
     struct evaluate_score s[2] = {{0}};
     float image[2][APPEARANCE_IMAGE_MAX];
@@ -154,7 +152,6 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
  * changes nothing on the other. */
 static void masked_pixels_of_a_half_count_nothing(void **state)
 {
-    (void)state;
     struct half_case t;
     struct evaluate_score whole = {0}, s[2][2] = {{{0}}};
     float image[2][APPEARANCE_IMAGE_MAX];
@@ -193,7 +190,6 @@ static void masked_pixels_of_a_half_count_nothing(void **state)
 /* Scores of half images take no longer than the training did. */
 static void scores_take_no_longer_than_training(void **state)
 {
-    (void)state;
     static const struct {
         double trained;
         size_t photos;

@@ -48,7 +48,6 @@ static struct train_config config(struct arena *a)
 
 static void the_next_level_keeps_what_was_learnt(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct toy_run r;
     struct train_config c = config(&a);
@@ -96,7 +95,6 @@ static void the_next_level_keeps_what_was_learnt(void **state)
  * fitted to small pictures bends to that, and has to unlearn it. */
 static void even_the_truth_differs_from_a_shrunk_photograph(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct toy t = city();
     struct gauss g = {0};
@@ -139,7 +137,6 @@ static double reset_level(int64_t interval)
 
 static void resets_do_not_starve_a_small_budget(void **state)
 {
-    (void)state;
     double without = reset_level(0), with = reset_level(RESET_EVERY);
     kit_figure("F4", "reset_loss_db=%.2f limit=%.2f without_db=%.2f with_db=%.2f", without - with,
                RESET_LIMIT_DB, without, with);

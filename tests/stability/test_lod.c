@@ -260,7 +260,6 @@ static struct flight flown(const struct leg *l, const char *metric, const struct
 
 static void flying_over_the_city_does_not_pop(void **state)
 {
-    (void)state;
     const struct pick_options screen = {0}, coarse = {.error_px = 2.0};
     const struct pick_options distance = {.metric = PICK_DISTANCE, .distance_m = {90.0, 180.0}};
     struct leg l;
@@ -275,7 +274,6 @@ static void flying_over_the_city_does_not_pop(void **state)
 
 static void culled_tiles_leave_no_hole(void **state)
 {
-    (void)state;
     static float culled[VALUES], all[VALUES];
     const struct pick_options no_lod = {.no_lod = true};
     struct err e = {0};
@@ -297,7 +295,6 @@ static void culled_tiles_leave_no_hole(void **state)
  * a quarter of a pixel apart, as those of 180 m with two million do in photographs of 1000 px. */
 static void from_high_up_far_fewer_are_drawn(void **state)
 {
-    (void)state;
     static float photo[VALUES], lod[VALUES], fine[VALUES];
     const struct pick_options no_lod = {.no_lod = true};
     const double eye[3] = {0.0, 0.0, F23_HEIGHT_M};

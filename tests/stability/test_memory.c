@@ -147,14 +147,12 @@ static void expect_below_the_estimate(enum kind kind)
 
 static void memory_stays_below_the_estimate(void **state)
 {
-    (void)state;
     expect_below_the_estimate(MEMORY_PLAIN);
     expect_below_the_estimate(MEMORY_BOTH);
 }
 
 static void and_with_appearance(void **state)
 {
-    (void)state;
     expect_below_the_estimate(MEMORY_LIGHT);
 }
 
@@ -188,7 +186,6 @@ static bool same_row(const float *a, size_t i, const float *b, size_t j, uint32_
  * their order. */
 static void as_many_go_as_may(void **state)
 {
-    (void)state;
     struct err e = {0};
     static const double may_cost_db[3] = {0.0, 0.5, 100.0};
     for (int k = 0; k < 3; k++) {

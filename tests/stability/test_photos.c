@@ -137,7 +137,6 @@ static struct ground ground_over_seeds(const char *dir, const struct toy *t, con
 
 static void masked_things_that_move_leave_no_trace(void **state)
 {
-    (void)state;
     struct toy t = toy_spec();
     struct gauss g = {0};
     char dir[FILE_PATH_MAX];
@@ -281,7 +280,6 @@ static void find_bad_poses(double off_m, size_t *found, size_t *false_alarms, do
 
 static void wrong_poses_are_named(void **state)
 {
-    (void)state;
     const double off_m[2] = {F18_LARGE_M, F18_SMALL_M}, share[2] = {1.0, F18_SMALL_SHARE};
     for (size_t k = 0; k < 2; k++) {
         size_t found, wrong;
@@ -352,7 +350,6 @@ static size_t feed_growth(const struct scene *s, const uint32_t *images)
 
 static void photographs_take_no_more_memory_than_allowed(void **state)
 {
-    (void)state;
     struct err e = {0};
     static struct scene_image images[F29_PHOTOS];
     static char names[F29_PHOTOS][16];

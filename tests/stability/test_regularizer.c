@@ -138,7 +138,6 @@ static void f4_train(const struct train_config *c, const struct gauss *first, do
 /* 1 % of the Gaussians begin 50 times too large, 5 % as needles of 100 to 1. */
 static void giants_and_needles_shrink(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct gauss first = {0};
     struct toy t = ground_spec();
@@ -213,7 +212,6 @@ static size_t f16_differing(const float *a, const float *b, size_t n)
 
 static void statistics_do_not_see_terms_on_gaussians(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct train_config c = plain_config(&a, F16_STEPS + 30);
     size_t n, k, stats;
@@ -281,7 +279,6 @@ static void maps_write(const char *dir, const struct scene *s, const uint32_t *i
 /* A photograph without a map has no target; a part of a photograph has the part of its map. */
 static void maps_are_read_and_left_out(void **state)
 {
-    (void)state;
     struct toy t = ground_spec();
     struct scene s;
     struct depth_map *maps = NULL;
@@ -380,7 +377,6 @@ static void resume_train(const char *out, const int64_t *pieces, size_t n_pieces
 
 static void resumed_runs_with_limited_sizes_are_the_same(void **state)
 {
-    (void)state;
     /* in the middle of levels and around densifications */
     static const int64_t pieces[] = {37, 30, 45, 103};
     char *out[2];

@@ -46,7 +46,6 @@ static size_t bad_values(const float *v, size_t n)
 
 static void a_million_shapes_stay_finite(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct gauss out = {0};
     size_t bad = 0, moved = 0;
@@ -145,7 +144,6 @@ static struct cloud_frame cloud_frame(struct trainer *t, struct view_case *s, cl
 
 static void a_camera_inside_the_cloud_is_no_catastrophe(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct view_case s = {.o = {.aa = RENDER_AA_2D, .sh_degree = -1}};
     struct gauss out = {0};
@@ -250,14 +248,12 @@ static void many_intersections(size_t n, uint32_t width, uint32_t height, uint64
 
 static void a_frame_of_a_million_intersections_is_brute_force(void **state)
 {
-    (void)state;
     many_intersections(8000, 320, 240, 1000000, 300);
 }
 
 /* In the long run only: 2 GB. */
 static void a_frame_of_fifty_million_intersections_is_brute_force(void **state)
 {
-    (void)state;
     many_intersections(14000, 1920, 1080, 50000000, 300);
 }
 
@@ -290,7 +286,6 @@ static struct gauss gradients_at_width(uint32_t width, const struct view_case *s
 
 static void kernels_of_both_shapes_agree_and_repeat(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(80, 400, RENDER_AA_2D, 2);
     (void)clear_ambiguous(&s);
     struct gauss a = gradients_at_width(0, &s), b = gradients_at_width(0, &s),

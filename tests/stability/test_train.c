@@ -64,7 +64,6 @@ static int by_value(const void *a, const void *b)
  * place of picture units would double the sums, width in place of height would skew them. */
 static void candidates_do_not_depend_on_picture_size(void **state)
 {
-    (void)state;
     struct toy t = toy_spec();
     struct gauss truth = {0}, g = {0};
     char dir[FILE_PATH_MAX];
@@ -208,7 +207,6 @@ static void resumed_anywhere(enum schedule_order order)
 
 static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
 {
-    (void)state;
     resumed_anywhere(SCHEDULE_COARSE_TO_FINE);
     resumed_anywhere(SCHEDULE_BOTH);
 }
@@ -296,7 +294,6 @@ static float *scores_at_first(const struct toy *t, const struct gauss *truth, co
  */
 static void scores_of_halved_photographs_are_those_of_small_ones(void **state)
 {
-    (void)state;
     struct toy large = toy_spec(), small;
     struct gauss truth = {0}, g = {0};
     double mean[2] = {0}, off = 0.0, spread = 0.0;
@@ -328,7 +325,6 @@ static void scores_of_halved_photographs_are_those_of_small_ones(void **state)
 
 static void scores_survive_constant_and_empty_input(void **state)
 {
-    (void)state;
     struct toy t = toy_spec();
     struct gauss g = {0};
     char dir[FILE_PATH_MAX];

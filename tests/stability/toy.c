@@ -189,7 +189,6 @@ struct dev toy_dev;
 
 int toy_open_device(void **state)
 {
-    (void)state;
     struct err e = {0};
     progress_quiet(true);
     log_set_level(LOG_ERROR);
@@ -199,7 +198,6 @@ int toy_open_device(void **state)
 
 int toy_close_device(void **state)
 {
-    (void)state;
     dev_close(&toy_dev);
     return 0;
 }

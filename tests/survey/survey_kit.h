@@ -157,7 +157,6 @@ static inline void survey_drop(void)
 /* Setup and teardown for tests that only read the city. */
 static inline int survey_setup(void **state)
 {
-    (void)state;
     survey_make(NULL);
     survey_open();
     return 0;
@@ -165,7 +164,6 @@ static inline int survey_setup(void **state)
 
 static inline int survey_teardown(void **state)
 {
-    (void)state;
     survey_drop();
     return 0;
 }

@@ -83,7 +83,6 @@ static void bare_earth_is_the_citys(void **state)
     size_t n[2] = {0}, raised = 0;
     double square[2] = {0};
     const struct bare_rule rule = {0};
-    (void)state;
     city(&c);
     survey(&c, 5, &f);
     for (size_t i = 0; i < EDGE * EDGE; i++)
@@ -132,7 +131,6 @@ static void citys_classes_are_told(void **state)
     const struct bare_rule rule = {0};
     const struct synth_light light = synth_shade_light();
     size_t n[BARE_BUILDING + 1] = {0}, right[BARE_BUILDING + 1] = {0};
-    (void)state;
     city(&c);
     survey(&c, 5, &f);
     kit_ok(bare_filter(f.height, EDGE, EDGE, 1, &rule, &e), e);
@@ -293,7 +291,6 @@ static void shapes_are_told(void **state)
         {"slope, edge of what is known", slope, nothing, ragged, 0.1, 0},
         {"trees on a slope, edge of what is known", slope, trees, ragged, 0.1, 1},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof shapes / sizeof *shapes; i++)
         shape_is_told(&shapes[i]);
 }
@@ -305,7 +302,6 @@ static void rest_is_told(void **state)
     static float z[W * H];
     const struct bare_rule rule = {.widest_m = 60}, narrow = {.widest_m = 10};
     struct err e = {0};
-    (void)state;
     for (size_t i = 0; i < W * H; i++) {
         double x = (double)(i % W), y = (double)(i / W);
         z[i] = within(x, y, 30, 30, 40, 40) ? NAN : (float)slope(x, y);
@@ -330,7 +326,6 @@ static void rest_is_told(void **state)
 static void classes_are_told(void **state)
 {
     const float green[3] = {0.2f, 0.4f, 0.2f}, gray[3] = {0.5f, 0.5f, 0.5f}, black[3] = {0, 0, 0};
-    (void)state;
     assert_int_equal(bare_class_of(0.1f, green), BARE_GROUND);
     assert_int_equal(bare_class_of(0.4f, green), BARE_LOW_PLANT);
     assert_int_equal(bare_class_of(1.0f, green), BARE_PLANT);

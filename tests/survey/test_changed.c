@@ -142,7 +142,6 @@ static void a_block_is_measured(void **state)
 {
     size_t within = 0;
     double worst = 0, half = 0;
-    (void)state;
     f.errs = 1;
     field_make(&f, 0.1, block, 10, 4);
     for (uint64_t seed = 0; seed < RUNS; seed++) {
@@ -166,7 +165,6 @@ static void a_block_is_measured(void **state)
 static void noise_is_no_change(void **state)
 {
     struct changed_report r;
-    (void)state;
     field_make(&f, 0.12, NULL, 0, 0);
     for (int times = 1; times <= 2; times++) {
         size_t raw = 0;
@@ -189,7 +187,6 @@ static void noise_is_no_change(void **state)
 static void large_changes_are_not_hidden(void **state)
 {
     struct changed_report r;
-    (void)state;
     f.errs = 1;
     field_make(&f, 0.1, block, 40, 2);
     field_draw(&f, 3);
@@ -210,7 +207,6 @@ static void large_changes_are_not_hidden(void **state)
 static void doubtful_ground_needs_more(void **state)
 {
     struct changed_report r;
-    (void)state;
     f.errs = 0.3;
     field_make(&f, 0.5, cone, 6, 5); /* 3.7 standard deviations, those around among them */
     field_draw(&f, 3);

@@ -33,7 +33,6 @@ static int cog_setup(void **state)
 {
     struct err e = {0};
     struct dev dev;
-    (void)state;
     survey_make(NULL);
     if (dev_open("cpu", &dev, &e) != ERR_OK) {
         print_message("skipped: %s\n", e.msg);
@@ -67,7 +66,6 @@ static void gdals_validator_finds_nothing(void **state)
                                           "/usr/bin/python3"}; /* Debian's is the latter */
     const char *python = NULL;
     struct buf out = {0};
-    (void)state;
     needs_maps();
     for (size_t i = 0; !python && i < 2; i++) {
         python = kit_run(&out, "%s -c 'import %s'", pythons[i], module) ? NULL : pythons[i];
@@ -136,7 +134,6 @@ static void overviews_halve(const char *name, const json_t *o)
 static void gdalinfo_says_what_it_is(void **state)
 {
     size_t n_overviews = 0;
-    (void)state;
     needs_maps();
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         json_t *o = info(rows[i].name), *bands = json_object_get(o, "bands"),
@@ -175,7 +172,6 @@ static void gdalinfo_says_what_it_is(void **state)
 static void overviews_are_means(void **state)
 {
     struct err e = {0};
-    (void)state;
     needs_maps();
     kit_ok(geotiff_start(&e), e);
     for (size_t i = 0; i < 2; i++) {

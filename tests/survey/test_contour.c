@@ -135,7 +135,6 @@ static void lines_are_the_citys(void **state)
     struct contour_report r, s;
     struct contour_request q = request(0), longer = request(5);
     struct lines l, m;
-    (void)state;
     path_of("lines.geojson", path);
     kit_ok(contour_write(f.nadir, &q, path, &r, &e), e);
     read_geojson(path, &l);
@@ -163,7 +162,6 @@ static void a_geopackage_holds_the_same(void **state)
     struct contour_request q = request(0);
     struct buf out = {0};
     size_t points = 0;
-    (void)state;
     path_of("lines.gpkg", path);
     kit_ok(file_write(path, "older", 5, &e), e);
     kit_ok(contour_write(f.nadir, &q, path, &r, &e), e);
@@ -216,7 +214,6 @@ static void points_lie_on_the_surface(void **state)
     char path[FILE_PATH_MAX];
     size_t n = 0, off = 0;
     double lo[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, hi[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
-    (void)state;
     path_of("points.las", path);
     kit_ok(surface_points_write(f.nadir, &q, path, &r, &e), e);
     kit_ok(file_read(path, 0, &b, &e), e);
@@ -273,7 +270,6 @@ static void las_has_limits(void **state)
     struct las_info info = {.offset_m = {500000, 5000000, 0}, .wkt = "x", .source = "s"};
     const struct las_point far = {{500000 + 3e6, 5000000, 1}, {0}, 0},
                            nowhere = {{(double)NAN, 0, 0}, {0}, 0};
-    (void)state;
     path_of("limits.las", path);
     kit_ok(las_create(path, &info, &l, &e), e);
     kit_fails(las_add(l, &far, 1, &e), ERR_ARG, e, "from the offset");
@@ -357,7 +353,6 @@ static void heights_count_from_the_sea(void **state)
     double least, most, want = UNDULATION_M + origin.lon_deg / 10;
     char a[FILE_PATH_MAX], b[FILE_PATH_MAX];
     struct buf out = {0};
-    (void)state;
     write_geoid("egm2008-600");
     write_geoid("local-600");
     path_of("ellipsoid.tif", a);
@@ -428,7 +423,6 @@ static void nonsense_is_refused(void **state)
         {"points none.tiles -o no.las", "none.tiles", 1},
     };
     struct buf out = {0};
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         int status = kit_run(&out, "cd '%s' && '%s' %s -q", f.dir, kit_program(), bad[i].args);
         if (status != bad[i].status)

@@ -140,7 +140,6 @@ static struct found compare(const struct place *p, const struct map_report *r)
 
 static void test_block(void **state)
 {
-    (void)state;
     struct place p;
     struct err e = {0};
     struct map_report r, in_bands;
@@ -170,7 +169,6 @@ static void test_block(void **state)
 
 static void test_refusals(void **state)
 {
-    (void)state;
     struct place p;
     struct err e = {0};
     struct map_report r;

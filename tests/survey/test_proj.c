@@ -102,7 +102,6 @@ static void utm_is_geographiclibs(void **state)
     struct buf lines = {0}, said = {0};
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     if (!there("GeoConvert"))
         skip();
     for (size_t i = 0; i < n; i++)
@@ -209,7 +208,6 @@ static void projections_are_projs(void **state)
     double worst[2] = {0};
     bool cs2cs = there("cs2cs");
     size_t n = sizeof projections / sizeof *projections;
-    (void)state;
     for (size_t k = 0; k < n; k++)
         projection_is_projs(k, cs2cs, worst);
     printf("proj: %zu projections within %.2g m of gdaltransform, %.2g m of cs2cs%s\n", n, worst[0],
@@ -226,7 +224,6 @@ static void tiles_are_web_mercator(void **state)
     double at[PLACES][2], metres[PLACES][2], worst = 0;
     size_t n = places_make(at);
     struct key key[PLACES];
-    (void)state;
     for (size_t i = 0; i < n; i++) {
         double west, south, east, north;
         key[i] = key_at(at[i][0], at[i][1], (uint8_t)(i % (KEY_ZOOM_MAX + 1)));
@@ -288,7 +285,6 @@ static void frame_is_projs(uint64_t i, const struct geo_origin *o, double worst[
 static void frames_are_projs(void **state)
 {
     double at[PLACES][2], worst[3] = {0};
-    (void)state;
     places_make(at);
     if (!there("cct"))
         skip();
@@ -407,7 +403,6 @@ static void tilesets_stand_on_the_earth(void **state)
     static bool hit[ALL];
     double worst = 0;
     const char *bin = kit_program();
-    (void)state;
     if (!there("cct"))
         skip();
     for (size_t i = 0; i < sizeof cities / sizeof *cities; i++) {
@@ -481,7 +476,6 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
     struct dev dev;
     double worst_m = 0;
     const char *bin = kit_program();
-    (void)state;
     if (dev_open("cpu", &dev, &e) != ERR_OK) {
         print_message("skipped: %s\n", e.msg);
         skip();

@@ -39,7 +39,6 @@ static void arms_of_a_u_are_one_region(void **state)
 {
     static struct picture p;
     struct region_map m = {0};
-    (void)state;
     for (size_t y = 5; y < 20; y++)
         for (size_t x = 5; x < 20; x++)
             if (x < 7 || x >= 18 || y >= 18) {
@@ -100,7 +99,6 @@ static void random_pictures_are_as_flooded(void **state)
 {
     static struct picture p;
     static uint8_t seen[PIXELS];
-    (void)state;
     for (uint64_t round = 0; round < 40; round++) {
         struct region_map m = {0};
         size_t regions = 0, roots = 0;

@@ -17,9 +17,9 @@
 
 #include "codec/image/image.h"
 #include "core/library.h"
+#include "lab/truth/edge.h"
 #include "lod/surface/probe.h"
 #include "survey/change.h"
-#include "survey/edge.h"
 #include "survey/gdal_library.h"
 #include "survey/map.h"
 
@@ -98,7 +98,6 @@ static void heights_are_the_citys(void **state)
     struct err e = {0};
     size_t n = 0, off = 0;
     double edge = 0.5 * EXTENT_M - 2 * GSD_M;
-    (void)state;
     map_make(&m, "dsm.tif", GEOTIFF_HEIGHT, 0);
     assert_int_equal(m.report.grid.epsg, 32632);
     kit_ok(crs_open(32632, &crs, &e), e);
@@ -175,7 +174,6 @@ static void roofs_end_where_they_do(void **state)
     struct err e = {0};
     struct edge_list l = {0};
     struct edge_score s;
-    (void)state;
     map_make(&m, "edges.tif", GEOTIFF_HEIGHT, 0);
     kit_ok(crs_open(m.report.grid.epsg, &crs, &e), e);
     for (uint32_t y = 0; y + 1 < m.h; y += 8)
@@ -199,7 +197,6 @@ static void edges_are_measured(void **state)
     float height[W], truth[W * EDGE_FINE], next[W * EDGE_FINE];
     struct err e = {0};
     struct edge_score s;
-    (void)state;
     for (int k = 0; k < 12; k++) {
         double wall = 30, at = wall + 0.5 * (k % 6 - 2), aslant = k < 6 ? 0 : 1;
         struct edge_list l = {0};
@@ -230,7 +227,6 @@ static void colours_lie_where_they_belong(void **state)
     struct err e = {0};
     struct shown sum = {0};
     size_t n = 0, outside = 0;
-    (void)state;
     map_make(&m, "ortho.tif", GEOTIFF_COLOR, 0);
     kit_ok(crs_open(m.report.grid.epsg, &crs, &e), e);
     for (uint32_t y = 0; y < m.h; y++)
@@ -263,7 +259,6 @@ static void pieces_leave_no_seams(void **state)
 {
     struct map a, b;
     size_t differ = 0, held = 0;
-    (void)state;
     map_make(&a, "a.tif", GEOTIFF_HEIGHT, 512);
     map_make(&b, "b.tif", GEOTIFF_HEIGHT, 96);
     assert_int_equal(a.w, b.w);
@@ -303,7 +298,6 @@ static void gdal_calls_it_cloud_optimized(void **state)
     struct err e = {0};
     char path[FILE_PATH_MAX];
     const struct map_request r = {.kind = GEOTIFF_HEIGHT, .gsd_m = 0.1};
-    (void)state;
     kit_ok(file_join(path, f.dir, "cog.tif", &e), e);
     kit_ok(map_write(f.nadir, &r, path, NULL, &e), e);
     if (kit_run(&out, "gdalinfo -json '%s'", path) != 0)
@@ -321,7 +315,6 @@ static void far_gaussians_are_no_survey(void **state)
     const struct area *a = nadir_area(f.nadir);
     struct err e = {0};
     double lo[3], hi[3];
-    (void)state;
     kit_ok(geo_to_enu(&origin, a->west_deg, a->south_deg, origin.h_m, lo, &e), e);
     kit_ok(geo_to_enu(&origin, a->east_deg, a->north_deg, origin.h_m, hi, &e), e);
     for (size_t k = 0; k < 2; k++) {
@@ -336,7 +329,6 @@ static void places_have_heights(void **state)
     struct probe p;
     struct err e = {0};
     size_t n = 0;
-    (void)state;
     for (int i = 0; i < 40; i++) {
         const double enu[3] = {(i % 8 - 3.5) * 7.1, (i / 8 - 2) * 11.3, 0};
         double lon, lat, h, z = truth_z(enu[0], enu[1]);
@@ -369,7 +361,6 @@ static void nonsense_is_refused(void **state)
     static const double elsewhere[4] = {9, 51, 9.1, 51.1};
     struct err e = {0};
     struct crs *crs;
-    (void)state;
     refused(&(struct map_request){.epsg = 4326}, "not a projection in metres");
     refused(&(struct map_request){.epsg = 2263}, "not a projection in metres"); /* feet */
     refused(&(struct map_request){.epsg = 999999}, "no such coordinate system");
@@ -395,7 +386,6 @@ static void the_program_says_the_same(void **state)
 {
     struct buf out = {0};
     const char *bin = kit_program();
-    (void)state;
     assert_int_equal(
         kit_run(&out, "'%s' dsm -q '%s' -o '%s/cli.tif' --gsd-m 0.5", bin, f.path, f.dir), 0);
     kit_expect_text((const char *)out.data, "EPSG:32632", __FILE__, __LINE__);
@@ -476,7 +466,6 @@ static void other_heights_are_named(void **state)
                  {"EPSG:5773", "height above the zero of EPSG:5773"}};
     const char *bin = kit_program();
     struct buf out = {0};
-    (void)state;
     for (size_t i = 0; i < 2; i++) {
         struct err e = {0};
         struct gauss g;
@@ -552,7 +541,6 @@ static void changes_are_found(void **state)
     char path[FILE_PATH_MAX];
     double block[2] = {0, 0};
     bool level = false;
-    (void)state;
     later_city("moved.tiles", 0.2, -0.15, 0.3, 0, NULL, path);
     compare(path, "moved.tif", false, &r);
     printf("survey compare: shift %.3f %.3f %.3f m, spread %.3f m\n", r.pose.east_m, r.pose.north_m,
@@ -623,7 +611,6 @@ static void aligned(const char *name, double east, double north, double up, doub
 static void what_lies_askew_is_aligned(void **state)
 {
     struct buf out = {0};
-    (void)state;
     aligned("askew.tiles", 0.6, -0.35, 0.3, 0.004);
     aligned("high.tiles", -0.4, 0.8, 7.5, 0);
     assert_int_equal(
@@ -707,7 +694,6 @@ static void ortho_is_the_citys_picture(void **state)
     struct buf out = {0};
     char path[FILE_PATH_MAX];
     json_t *config;
-    (void)state;
     f.cfg.lon_deg = origin.lon_deg;
     f.cfg.lat_deg = origin.lat_deg;
     f.cfg.ground_h_m = origin.h_m;
@@ -736,7 +722,6 @@ static void a_library_of_another_version_is_refused(void **state)
     struct err e = {0};
     struct library l = {"maps", GDAL_LIBRARY_FILE, GDAL_LIBRARY_SYMBOL, GDAL_LIBRARY_VERSION};
     const void *table;
-    (void)state;
     kit_ok(library_load(&l, &table, &e), e);
     assert_ptr_equal(table, gdal);
     l.version++;

@@ -43,7 +43,6 @@ static void limit(const struct scene *s, const uint32_t *list, size_t n_points,
 
 static void what_fits_is_worked_out_by_hand(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct train_config c;
     struct scene s;
@@ -92,7 +91,6 @@ static void what_fits_is_worked_out_by_hand(void **state)
  * photographs. */
 static void presets_are_the_published_table(void **state)
 {
-    (void)state;
     static const struct {
         const char *file;
         size_t budget[3];

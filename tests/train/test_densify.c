@@ -101,7 +101,6 @@ static struct densify_input input_of(const struct toy *t, bool with_score)
 
 static void with_room_every_candidate_is_taken(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(99);
     struct densify_params p = params_of(&everything, 1000, 0);
@@ -127,7 +126,6 @@ static void with_room_every_candidate_is_taken(void **state)
 
 static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(300);
     for (size_t cap = 300; cap <= 600; cap += 25) {
@@ -159,7 +157,6 @@ static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
 
 static void more_than_the_budget_neither_grows_nor_is_cut(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(100);
     struct densify_params p = params_of(&everything, 60, 0);
@@ -174,7 +171,6 @@ static void more_than_the_budget_neither_grows_nor_is_cut(void **state)
 
 static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(10);
     for (size_t i = 0; i < t.n; i++)
@@ -205,7 +201,6 @@ static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
 /* Photographs support the ground west of 0, and heights up to 30 m say nothing. */
 static void long_ones_over_supported_ground_are_halved(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { SIDE_CELLS = 2 };
     uint8_t inside[SIDE_CELLS * SIDE_CELLS] = {1, 0, 1, 0};
@@ -249,7 +244,6 @@ static void long_ones_over_supported_ground_are_halved(void **state)
  * wherever they stand. */
 static void the_most_wanted_are_cut_first(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { N = 40, ROOM = 20, CUTS = ROOM / 4 };
     uint8_t inside[1] = {1};
@@ -316,7 +310,6 @@ static void arrays_free(struct arrays *a)
 /* Where the order is kept, row d of the plan is row d, and halves are those of the plan. */
 static void a_kept_order_is_that_of_the_plan(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(500);
     struct densify_params p = params_of(&everything, 700, 0);
@@ -367,7 +360,6 @@ static void count_sides(const struct densify_params *p, const struct toy *t,
 
 static void both_ceilings_hold_where_children_cross_the_border(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(600);
     size_t in0 = 0;
@@ -397,7 +389,6 @@ static void both_ceilings_hold_where_children_cross_the_border(void **state)
  * inside get all that the cell's ceiling leaves. */
 static void many_candidates_outside_take_no_room_inside(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(900);
     size_t in0 = 0;
@@ -430,7 +421,6 @@ static void many_candidates_outside_take_no_room_inside(void **state)
 
 static void the_threshold_rises_outside_the_cell(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(3);
     static const float east[3] = {-1.0f, 2.5f,
@@ -457,7 +447,6 @@ static void the_threshold_rises_outside_the_cell(void **state)
 
 static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(33);
     struct densify_params p = params_of(&everything, 1000, 0);
@@ -497,7 +486,6 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
  * and its mass together: what it contributed to pictures hardly changes. */
 static void halves_along_the_axis_keep_the_moments(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct toy t = toy_make(3);
     struct densify_params p = params_of(&everything, 1000, 0);
@@ -552,7 +540,6 @@ static void halves_along_the_axis_keep_the_moments(void **state)
 
 static void the_draw_takes_exactly_k_different_ones(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { N = 1000 };
     float score[N];
@@ -580,7 +567,6 @@ static void the_draw_takes_exactly_k_different_ones(void **state)
 
 static void the_draw_is_proportional_to_the_score(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { TRIALS = 4000 };
     static const float score[4] = {1.0f, 2.0f, 3.0f, 4.0f};
@@ -600,7 +586,6 @@ static void the_draw_is_proportional_to_the_score(void **state)
 /* F32: beyond the 2^24 that sampling by a float's cumulative sum can count. */
 static void the_draw_has_no_limit_at_two_to_the_24(void **state)
 {
-    (void)state;
     struct err e = {0};
     const size_t n = 20 * 1000 * 1000, k = 12345;
     uint32_t *ids = mem_array(n, sizeof *ids), *chosen = mem_array(k, sizeof *chosen);
@@ -630,7 +615,6 @@ static void the_draw_has_no_limit_at_two_to_the_24(void **state)
 
 static void importance_parts_survive_constant_and_empty_input(void **state)
 {
-    (void)state;
     struct err e = {0};
     float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, inverse = 1.0f;
     uint8_t grey[3 * 4 * 5];
@@ -662,7 +646,6 @@ static void importance_parts_survive_constant_and_empty_input(void **state)
 /* Of 5 x 3 pixels the last column and the last row are left out. */
 static void a_photograph_of_half_the_edges_has_the_means_of_four(void **state)
 {
-    (void)state;
     enum { W = 5, H = 3 };
     uint8_t px[3 * W * H], mask[W * H], half[3 * 2], half_mask[2];
     for (uint64_t i = 0; i < sizeof px; i++)
@@ -683,7 +666,6 @@ static void a_photograph_of_half_the_edges_has_the_means_of_four(void **state)
 
 static void neighbours_agree_with_looking_at_all_pairs(void **state)
 {
-    (void)state;
     struct err e = {0};
     enum { N = 700 };
     float xyz[3 * N], got[N];
@@ -720,7 +702,6 @@ static void neighbours_agree_with_looking_at_all_pairs(void **state)
  * Gaussian of 40 m. */
 static void a_lone_point_does_not_become_a_huge_gaussian(void **state)
 {
-    (void)state;
     enum { SIDE = 20, N = SIDE * SIDE + 1 };
     float xyz[3 * N], got[N], plain[N];
     struct err e = {0};

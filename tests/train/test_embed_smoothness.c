@@ -15,7 +15,6 @@
 
 static void neighbours_are_exact(void **state)
 {
-    (void)state;
     enum { N = 700, K = 16 };
     static float xyz[3 * N];
     struct knn t;
@@ -132,7 +131,6 @@ static double alike_by_definition(const struct alike *s)
 
 static void embed_smoothness_is_its_definition_and_derivative(void **state)
 {
-    (void)state;
     static struct alike s;
     static float grad[ALIKE * ALIKE_LEN], none[ALIKE * ALIKE_LEN];
     static double fd[ALIKE * ALIKE_LEN];
@@ -204,7 +202,6 @@ static double crowd_likeness(const float *mean_m, const float *embed, size_t n, 
  * the same way. The method reports cosines about 0.1 without the loss and above 0.8 with it. */
 static void neighbours_become_alike(void **state)
 {
-    (void)state;
     enum { N = 2000, LEN = 16, STEPS = 300 };
     static float mean_m[3 * N], embed[N * LEN], grad[N * LEN];
     static double m1[N * LEN], m2[N * LEN];
@@ -257,7 +254,6 @@ static double half_of(uint32_t word, size_t nth)
 /* The gradient reaches Adam's moments of the embeddings, and nothing else. */
 static void gradients_enter_the_moments(void **state)
 {
-    (void)state;
     static struct alike s;
     static float grad[ALIKE * ALIKE_LEN];
     struct dev dev;

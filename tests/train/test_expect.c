@@ -51,7 +51,6 @@ static const struct run {
 
 static void recorded_trainings_are_forecast(void **state)
 {
-    (void)state;
     for (size_t i = 0; i < sizeof runs / sizeof *runs; i++) {
         const struct run *r = &runs[i];
         struct train_config cfg;
@@ -81,7 +80,6 @@ static void recorded_trainings_are_forecast(void **state)
 /* A last fit, more steps, larger pictures and more photographs cost more. */
 static void more_work_takes_longer(void **state)
 {
-    (void)state;
     struct train_config cfg;
     struct arena arena = {0};
     struct expect usual, other;
@@ -106,7 +104,6 @@ static void more_work_takes_longer(void **state)
 
 static void as_many_cells_as_cores_and_memory_have_room_for(void **state)
 {
-    (void)state;
     assert_int_equal(jobs_fit(10, 0.5e9, 2, 8e9), 2);
     assert_int_equal(jobs_fit(3, 0.5e9, 16, 8e9), 3);
     assert_int_equal(jobs_fit(40, 0.5e9, 16, 2.2e9), 4);

@@ -71,7 +71,6 @@ static void open_demo(struct fixture *f)
 /* From 10 s on, a seventh of the run, until its last steps. */
 static void a_recorded_run_is_forecast_within_a_fifth(void **state)
 {
-    (void)state;
     static struct fixture f;
     double worst = 0.0, worst_s = 0.0;
     open_demo(&f);
@@ -100,7 +99,6 @@ static void a_recorded_run_is_forecast_within_a_fifth(void **state)
  * are: 0.91 of caliterra's (docs/decisions/010-deferred-steps.md). Not with what moves all. */
 static void a_step_in_the_frustum_is_shorter(void **state)
 {
-    (void)state;
     static struct fixture f;
     double left[3];
     for (size_t i = 0; i < 3; i++) {
@@ -118,7 +116,6 @@ static void a_step_in_the_frustum_is_shorter(void **state)
 /* A machine that is K times slower, with steps that all cost what the model says. */
 static void a_slower_machine_is_measured(void **state)
 {
-    (void)state;
     static struct fixture f;
     double left[2], seconds[2] = {2.0, 14.0};
     for (size_t i = 0; i < 2; i++) {
@@ -132,7 +129,6 @@ static void a_slower_machine_is_measured(void **state)
 
 static void what_is_done_is_not_left(void **state)
 {
-    (void)state;
     static struct fixture f;
     open_demo(&f);
     f.at.step = 100;
@@ -151,7 +147,6 @@ static void what_is_done_is_not_left(void **state)
 /* The finest level first, whose steps cost most, and then ever less. */
 static void the_order_of_levels_counts(void **state)
 {
-    (void)state;
     static struct fixture f;
     double left[LEVELS + 1];
     open_demo(&f);
@@ -174,7 +169,6 @@ static void the_order_of_levels_counts(void **state)
 
 static void times_are_told_in_words(void **state)
 {
-    (void)state;
     char text[32];
     static const struct {
         double s;

@@ -58,7 +58,6 @@ static bool seen(double x, double y)
 
 static void ground_without_points_gets_gaussians(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint f;
     struct gauss plain, g;
@@ -121,7 +120,6 @@ static void ground_without_points_gets_gaussians(void **state)
 /* Outside of a cell's box, ground gets as many as there is room for, to the last one. */
 static void the_last_place_outside_is_used(void **state)
 {
-    (void)state;
     const struct cell west = {.id = "w",
                               .min_enu_m = {-102, -102},
                               .max_enu_m = {-42, 102},
@@ -164,7 +162,6 @@ static void the_last_place_outside_is_used(void **state)
 
 static void what_is_longer_than_pixels_on_the_ground_is_split(void **state)
 {
-    (void)state;
     struct scene s;
     struct footprint f;
     struct err e = {0};
@@ -187,7 +184,6 @@ static void what_is_longer_than_pixels_on_the_ground_is_split(void **state)
 
 static void what_floats_is_removed(void **state)
 {
-    (void)state;
     /* at the ground, 4 m and 6 m above, 6 m below, 40 m up, and 40 m up where nothing is known */
     static const float mean[6][3] = {{0, 0, 7},  {10, 0, 11}, {-20, 10, 13},
                                      {0, 30, 1}, {5, 5, 47},  {9000, 0, 47}};
@@ -232,7 +228,6 @@ static void what_floats_is_removed(void **state)
  * not, and what lies outside goes; where few look, heights are tight. */
 static void what_sticks_out_is_split(void **state)
 {
-    (void)state;
     /* large in the middle, at the edge, outside; small at the edge; 2 m up at the edge and not */
     static const float mean[6][3] = {{0, 0, 7},  {78, 0, 7},  {90, 0, 7},
                                      {79, 9, 7}, {76, 66, 9}, {9, 9, 9}};

@@ -72,7 +72,6 @@ static void all_around(struct camera cams[CAMS])
 
 static int setup(void **state)
 {
-    (void)state;
     flight(t.cams);
     t.params = places();
     t.before = places();
@@ -81,7 +80,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     mem_free(t.params);
     mem_free(t.before);
     return 0;
@@ -145,7 +143,6 @@ static void copy_of(float *params, size_t i, size_t channel, double *c)
 
 static void it_is_the_minimum(void **state)
 {
-    (void)state;
     const double h = 1e-4;
     hold(t.params, WEIGHT, 3, origin);
     for (size_t i = 0; i < N; i++)
@@ -171,7 +168,6 @@ static void it_is_the_minimum(void **state)
  * what colours differ by from the base colour. Each against harmonics as trained. */
 static void looks_alike_from_above_and_calm_from_the_side(void **state)
 {
-    (void)state;
     double above = 0.0, above_trained = 0.0, side = 0.0, side_trained = 0.0;
     hold(t.params, WEIGHT, 3, origin);
     for (size_t i = 0; i < N; i++) {
@@ -201,7 +197,6 @@ static void looks_alike_from_above_and_calm_from_the_side(void **state)
 
 static void what_was_seen_from_all_around_stays(void **state)
 {
-    (void)state;
     all_around(t.cams);
     hold(t.params, 1e-7, 3, origin);
     for (size_t i = 0; i < layout_floats(N, PLANES); i++)
@@ -210,7 +205,6 @@ static void what_was_seen_from_all_around_stays(void **state)
 
 static void what_nobody_saw_has_its_base_colour(void **state)
 {
-    (void)state;
     const double away[3] = {origin[0] + 500.0, origin[1], origin[2]};
     hold(t.params, WEIGHT, 3, away);
     for (size_t i = 0; i < N; i++)
@@ -224,7 +218,6 @@ static void what_nobody_saw_has_its_base_colour(void **state)
 /* Only what is in use is touched, only colours, and the same twice. */
 static void the_rest_stays(void **state)
 {
-    (void)state;
     float *again = places();
     hold(t.params, WEIGHT, 1, origin);
     hold(again, WEIGHT, 1, origin);

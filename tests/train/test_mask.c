@@ -32,7 +32,6 @@ static void mask_write(const char *path, uint32_t w, uint32_t h, uint32_t x0, ui
 
 static void a_pixel_is_ignored_when_any_below_it_is(void **state)
 {
-    (void)state;
     struct err e = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct image full = {0}, small = {0}, large = {0};
@@ -63,7 +62,6 @@ static void a_pixel_is_ignored_when_any_below_it_is(void **state)
 
 static void undistortion_moves_masks_as_it_moves_pictures(void **state)
 {
-    (void)state;
     enum { W = 120, H = 80 };
     struct err e = {0};
     char dir[FILE_PATH_MAX], from[FILE_PATH_MAX], to[FILE_PATH_MAX];
@@ -93,7 +91,6 @@ static void undistortion_moves_masks_as_it_moves_pictures(void **state)
 
 static void points_on_masked_pixels_are_left_out(void **state)
 {
-    (void)state;
     struct err e = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     char name[] = "p.jpg", other[] = "q.jpg";
@@ -124,7 +121,6 @@ static void points_on_masked_pixels_are_left_out(void **state)
 /* --no-masks asks no mask for the first Gaussians, either. */
 static void without_masks_all_points_are_used(void **state)
 {
-    (void)state;
     struct err e = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], name[] = "p.jpg";
     struct scene_image image = {.name = name, .cam = {.width_px = 20, .height_px = 10}};

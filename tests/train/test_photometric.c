@@ -71,7 +71,6 @@ static double ref_total(const struct picture *p, double l1, double ssim)
 
 static void test_ref_closed_forms(void **state)
 {
-    (void)state;
     struct picture p = picture_make(30, 20, false, 1);
     struct photometric_value v;
     struct err e = {0};
@@ -97,7 +96,6 @@ static void test_ref_closed_forms(void **state)
 
 static void test_ref_finite_differences(void **state)
 {
-    (void)state;
     for (int masked = 0; masked < 2; masked++) {
         struct picture p = picture_make(17, 13, masked, 2);
         struct err e = {0};
@@ -128,7 +126,6 @@ static void test_ref_finite_differences(void **state)
  * one by one in double as Wang et al. 2004 write it, over a picture anybody can make. */
 static void test_metrics_by_another_program(void **state)
 {
-    (void)state;
     enum { W = 19, H = 14 };
     float rgb[W * H * 3];
     uint8_t target[W * H * 3];
@@ -152,7 +149,6 @@ static void test_metrics_by_another_program(void **state)
  * pictures anybody can make; odd sizes are the ones where implementations differ. */
 static void test_gmsd_by_another_program(void **state)
 {
-    (void)state;
     enum { MOST = 31 * 23 };
     static const uint32_t sizes[3][2] = {{24, 16}, {31, 23}, {9, 40}};
     static const double want[3] = {0.169543333740, 0.155236467582, 0.154097179833};
@@ -183,7 +179,6 @@ static void test_gmsd_by_another_program(void **state)
 
 static void test_metrics(void **state)
 {
-    (void)state;
     struct picture p = picture_make(40, 71, true, 3);
     struct err e = {0};
     struct photometric_value v;
@@ -304,7 +299,6 @@ static void check_kernel(struct photometric *l, uint32_t w, uint32_t h, bool mas
 
 static void test_kernel_matches_reference(void **state)
 {
-    (void)state;
     struct photometric *l;
     struct err e = {0};
     struct photometric_value v;
@@ -334,7 +328,6 @@ static void test_kernel_matches_reference(void **state)
 /* The kernels as a GPU gets them: a work-item a pixel. */
 static void test_narrow_kernel_matches_reference(void **state)
 {
-    (void)state;
     struct dev *d = dev_get();
     uint32_t own = d->vector_width;
     struct photometric *l;
@@ -373,7 +366,6 @@ static void digest(char out[33])
 /* Every allocation of the host fails once: an error, no leak, no crash. */
 static void test_out_of_memory(void **state)
 {
-    (void)state;
     enum err_code rc = ERR_MEM;
     for (size_t k = 1; rc; k++) {
         struct photometric *l = NULL;
@@ -400,7 +392,6 @@ static void test_out_of_memory(void **state)
 
 static void test_same_bits(void **state)
 {
-    (void)state;
     kit_same_bits(digest);
 }
 

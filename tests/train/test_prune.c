@@ -10,7 +10,6 @@
 
 static void the_faintest_hundredth_goes(void **state)
 {
-    (void)state;
     /* All weight: 100. A hundredth is 1: 0, 0.25 and 0.5 fit (0.75 together), 1.25 more does not.
      */
     float sum[6] = {50.0f, 0.25f, 48.0f, 0.0f, 1.25f, 0.5f};
@@ -27,7 +26,6 @@ static void the_faintest_hundredth_goes(void **state)
 
 static void nothing_goes_when_nothing_may(void **state)
 {
-    (void)state;
     float sum[3] = {0.0f, 1.0f, 2.0f};
     const uint16_t views[3] = {0, 1, 2};
     double scratch[3];
@@ -40,7 +38,6 @@ static void nothing_goes_when_nothing_may(void **state)
 
 static void few_photographs_are_no_support(void **state)
 {
-    (void)state;
     float sum[4] = {30.0f, 30.0f, 40.0f, 0.0f};
     const uint16_t views[4] = {3, 2, 7, 1};
     double scratch[4];
@@ -55,7 +52,6 @@ static void few_photographs_are_no_support(void **state)
 /* A Gaussian at the rim weighs as much in its two photographs as another in each of its twenty. */
 static void few_photographs_do_not_make_faint(void **state)
 {
-    (void)state;
     float sum[4] = {20.0f, 2.0f, 1.0f, 20.0f};
     const uint16_t views[4] = {20, 2, 20, 20};
     double scratch[4];
@@ -70,7 +66,6 @@ static void few_photographs_do_not_make_faint(void **state)
  * known of scores, it is a bisection. */
 static void trials_follow_a_power(void **state)
 {
-    (void)state;
     enum { N = 1000 };
     double sum[N + 1] = {0};
     for (size_t k = 0; k < N; k++)

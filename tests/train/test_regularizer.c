@@ -61,7 +61,6 @@ static void scale_places(double *mean, double *quat)
 
 static void scale_reference_matches_differences(void **state)
 {
-    (void)state;
     double sizes[3 * SIZES], mean[3 * SIZES], quat[4 * SIZES], g[3 * SIZES], fd[3 * SIZES];
     const struct scale_loss_gauss of = {.mean = mean, .scale_log = sizes, .n = SIZES};
     uint32_t n[SCALE_INPUTS];
@@ -93,7 +92,6 @@ static void scale_reference_matches_differences(void **state)
 
 static void flat_reference_matches_differences(void **state)
 {
-    (void)state;
     double x[3 * SIZES], mean[3 * SIZES], quat[4 * SIZES], total[FLAT_INPUTS];
     double g[SHAPE * SIZES], fd[SHAPE * SIZES];
     const struct flat_loss_gauss of = {.mean = mean, .scale_log = x, .quat = quat, .n = SIZES};
@@ -239,7 +237,6 @@ static void check_flat_kernels(const struct flat_loss_input *in, uint32_t width)
 
 static void kernels_match_their_references(void **state)
 {
-    (void)state;
     for (uint32_t width = 0; width < 2; width++) {
         for (size_t i = 0; i < SCALE_INPUTS; i++)
             check_scale_kernels(&scale_in[i], width);

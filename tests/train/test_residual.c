@@ -16,7 +16,6 @@
 
 static void z_scores_are_those_worked_out_by_hand(void **state)
 {
-    (void)state;
     /* Median of 1 2 3 4 100 is 3, of the distances 2 1 0 1 97 it is 1. */
     const double x[5] = {1.0, 2.0, 3.0, 4.0, 100.0};
     double scratch[5], z[5];
@@ -36,7 +35,6 @@ static void z_scores_are_those_worked_out_by_hand(void **state)
 
 static void a_photograph_that_does_not_fit_is_named_first(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct residual_list l = {0};
     static char names[100][8];
@@ -90,7 +88,6 @@ static void a_photograph_that_does_not_fit_is_named_first(void **state)
  * is. */
 static void photographs_are_compared_with_those_of_like_coverage(void **state)
 {
-    (void)state;
     enum { N = 60, RIM = 20 };
     static char names[N][8];
     for (int known = 0; known < 2; known++) {

@@ -64,7 +64,6 @@ static void stopped_run_goes_on(enum schedule_order order, const int64_t *pieces
 
 static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
 {
-    (void)state;
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
      * and between thinnings */
     static const int64_t up[] = {1, 7, 67, 2, 73, 40, 40, 8};
@@ -77,7 +76,6 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
 /* They take over its network, which does not change any more. */
 static void coarser_levels_have_the_finest_network(void **state)
 {
-    (void)state;
     struct ckpt level[3];
     struct trial t;
     trial_open(&t);
@@ -104,53 +102,6 @@ static void coarser_levels_have_the_finest_network(void **state)
     trial_close(&t);
 }
 
-/* The number of steps that a finished level of a run says it has made. */
-static int steps_of(const char *out, unsigned level)
-{
-    struct ckpt c;
-    toy_read_level(out, level, &c);
-    int steps = (int)json_integer_value(json_object_get(c.meta, "steps"));
-    ckpt_free(&c);
-    return steps;
-}
-
-/* It ends by itself, and in the same bytes when it was stopped on the way. */
-static void a_run_goes_on_while_that_gains(void **state)
-{
-    (void)state;
-    struct trial t;
-    trial_open(&t);
-    t.c.output = t.parts;
-    t.c.level_count = 1;
-    t.c.budget.one = 80;
-    t.c.budget.n = 1;
-    t.c.defer_from = 1;
-    t.c.iterations.one = 40;
-    t.c.go_on_db = 99; /* more than tenths can gain: the rates fall after the third look */
-    kit_ok(trial_run(&t), t.e);
-    assert_int_equal(steps_of(t.parts, 1), 61); /* 40, 44, 49, 49 / (1 - 0.2) */
-    t.c.overwrite = true;
-    t.c.lr_end = 1; /* rates that do not fall: nothing follows the look */
-    kit_ok(trial_run(&t), t.e);
-    assert_int_equal(steps_of(t.parts, 1), 49);
-    t.c.lr_end = 0.1;
-    t.c.output = t.out;
-    t.c.go_on_db = 0.05;
-    kit_ok(trial_run(&t), t.e);
-    assert_true(steps_of(t.out, 1) > 61 && steps_of(t.out, 1) <= 30000);
-    t.c.output = t.parts; /* in the steps planned, at looks, between them, and while rates fall */
-    const int64_t pieces[] = {20, 20, 2, 2, 3, steps_of(t.out, 1) - 47 - 4};
-    train_in_pieces(&t, pieces, sizeof pieces / sizeof pieces[0]);
-    kit_ok(trial_run(&t), t.e);
-    assert_int_equal(steps_of(t.parts, 1), steps_of(t.out, 1));
-    blobs_same_levels(1, t.out, t.parts);
-    t.c.iterations = (struct options_ints){.v = {20, 20, 40}}; /* a list */
-    t.c.overwrite = true;
-    t.c.resume = false;
-    kit_fails(trial_run(&t), ERR_ARG, t.e, "--go-on-db needs one value");
-    trial_close(&t);
-}
-
 /* The text of a hash of the run's inputs, as a level's file has it. */
 static void level_input(const char *out, const char *key, char hash[64])
 {
@@ -171,7 +122,7 @@ static int64_t steps_before_again(const struct train_config *c)
     return c->level_order == SCHEDULE_BOTH ? (int64_t)s[0].steps + s[1].steps : 0;
 }
 
-static void last_fit(enum schedule_order order, int64_t go_on_from)
+static void last_fit(enum schedule_order order)
 {
     enum { PLAIN, WHOLE, PARTS, OUTS };
     struct err e = {0};
@@ -184,8 +135,6 @@ static void last_fit(enum schedule_order order, int64_t go_on_from)
         kit_tmpdir(out[i]);
     struct train_config c = toy_config(&a, out[PLAIN]);
     c.level_order = order;
-    c.go_on_db = go_on_from ? 99 : 0;
-    c.iterations.one = go_on_from ? go_on_from : c.iterations.one;
     kit_ok(blobs_train(blobs_dir, &c, &r[PLAIN], &e), e);
     c.final_all = true;
     c.output = out[WHOLE];
@@ -236,15 +185,12 @@ static void last_fit(enum schedule_order order, int64_t go_on_from)
 /* Scores and coarser levels are those of a run without it. It can be stopped and repeats. */
 static void a_last_fit_takes_all_photographs(void **state)
 {
-    (void)state;
-    last_fit(SCHEDULE_COARSE_TO_FINE, 0);
-    last_fit(SCHEDULE_BOTH, 0);
-    last_fit(SCHEDULE_BOTH, 150); /* after a level that went on */
+    last_fit(SCHEDULE_COARSE_TO_FINE);
+    last_fit(SCHEDULE_BOTH);
 }
 
 static void a_damaged_state_is_refused(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct buf file = {0};
     struct trial t;
@@ -266,7 +212,6 @@ static void a_damaged_state_is_refused(void **state)
 /* States of before have two arrays of floats where there is one of words now. */
 static void a_state_with_wide_moments_is_refused(void **state)
 {
-    (void)state;
     struct ckpt s;
     size_t found = 0;
     char path[FILE_PATH_MAX + 64];
@@ -353,7 +298,6 @@ static void remove_depths(const char *dir)
  * "complete" nor gone on with. */
 static void what_a_run_was_made_of_may_not_change(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     struct train_result r = {0};
@@ -416,7 +360,6 @@ static void what_a_run_was_made_of_may_not_change(void **state)
 /* Results are replaced only when that was asked for. */
 static void a_finished_run_is_not_lost(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct buf first = {0}, again = {0};
     struct trial t;
@@ -468,7 +411,6 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(coarser_levels_have_the_finest_network),
-        cmocka_unit_test(a_run_goes_on_while_that_gains),
         cmocka_unit_test(a_last_fit_takes_all_photographs),
         cmocka_unit_test(a_damaged_state_is_refused),
         cmocka_unit_test(a_state_with_wide_moments_is_refused),

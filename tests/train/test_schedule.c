@@ -31,7 +31,6 @@ static struct train_config defaults(struct arena *a)
  * good as asked for otherwise. */
 static void the_default_is_short(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c, one;
@@ -49,10 +48,6 @@ static void the_default_is_short(void **state)
     assert_int_equal(s[0].steps + s[1].steps + s[2].steps + s[0].tuned + s[1].tuned, 10570);
     assert_true(fabs(s[2].kappa - 10570.0 / 60000.0) < 1e-12);
     assert_true(schedule_full(&c) == 60000.0);
-    c.go_on_db = 0.05;
-    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
-    assert_true(s[2].most > s[2].steps);
-    c.go_on_db = 0.0;
     c.level_count = 1;
     assert_int_equal(schedule_asked(&c, 60), 3500);
     c.iterations = (struct options_ints){.v = {15000, 15000, 30000}, .n = 3}; /* as published */
@@ -65,7 +60,6 @@ static void the_default_is_short(void **state)
 
 static void cap_rises_from_start_to_exactly_the_budget(void **state)
 {
-    (void)state;
     /* S = 60,000, B = 409,600, 49 steps: values by hand from S + (B - S)(2u - u^2), u = x / 48 */
     assert_int_equal(schedule_cap(60000, 409600, 0, 49), 60000);
     assert_int_equal(schedule_cap(60000, 409600, 1, 49), 74414);
@@ -84,7 +78,6 @@ static void cap_rises_from_start_to_exactly_the_budget(void **state)
 
 static void cap_has_no_edge_that_divides_by_zero_or_shrinks(void **state)
 {
-    (void)state;
     assert_int_equal(schedule_cap(500, 400, 3, 10), 500); /* over budget: no growth, no cut */
     assert_int_equal(schedule_cap(400, 400, 0, 10), 400);
     assert_int_equal(schedule_cap(100, 400, 0, 1), 400); /* a single densification may fill it */
@@ -96,7 +89,6 @@ static void cap_has_no_edge_that_divides_by_zero_or_shrinks(void **state)
 
 static void full_run_has_the_published_numbers(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -136,7 +128,6 @@ static void full_run_has_the_published_numbers(void **state)
 
 static void every_index_from_one_to_the_last_is_used_once(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     for (int64_t iterations = 7; iterations < 70000; iterations = iterations * 3 + 1) {
@@ -163,7 +154,6 @@ static void every_index_from_one_to_the_last_is_used_once(void **state)
 /* However short the run and however many its levels: some densification removes them. */
 static void runs_of_any_length_remove_huge_gaussians(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     for (int64_t iterations = 500; iterations <= 60000; iterations += 100)
@@ -185,7 +175,6 @@ static void runs_of_any_length_remove_huge_gaussians(void **state)
 
 static void many_photographs_stretch_and_short_runs_shrink(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -213,7 +202,6 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
 
 static void fewer_levels_take_the_finest_rows(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -231,7 +219,6 @@ static void fewer_levels_take_the_finest_rows(void **state)
 
 static void position_rate_decays_exponentially_and_restarts(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -250,7 +237,6 @@ static void position_rate_decays_exponentially_and_restarts(void **state)
 
 static void impossible_plans_are_refused(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -267,7 +253,6 @@ static void impossible_plans_are_refused(void **state)
  * has a value a level; values for levels that are not trained are refused. */
 static void lists_have_one_value_or_one_a_level(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -296,7 +281,6 @@ static void lists_have_one_value_or_one_a_level(void **state)
  * positions end at the published last rate over kappa. */
 static void short_runs_take_larger_steps(void **state)
 {
-    (void)state;
     const struct {
         int64_t steps;
         double factor;
@@ -329,7 +313,6 @@ static void short_runs_take_larger_steps(void **state)
  * less come when these are made again. */
 static void coarser_levels_can_be_made_again(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
@@ -375,11 +358,10 @@ static void coarser_levels_can_be_made_again(void **state)
  * has become, and ends as others do. */
 static void rates_fall_at_the_end(void **state)
 {
-    (void)state;
     struct arena a = {0};
     struct err e = {0};
     struct train_config c = defaults(&a);
-    struct schedule s[3], longer[3];
+    struct schedule s[3];
     c.iterations.one = 3000;
     kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
     for (uint32_t t = 1; t <= 1200; t++)
@@ -389,31 +371,6 @@ static void rates_fall_at_the_end(void **state)
     assert_true(fabs(schedule_fade(&s[2], 1350) - sqrt(0.1)) < 1e-12);
     assert_true(fabs(schedule_fade(&s[2], 1500) - 0.1) < 1e-12);
     assert_true(schedule_fade(&s[0], 750) == 1.0 && schedule_fade(&s[1], 750) == 1.0);
-    c.go_on_db = 0.05;
-    kit_ok(schedule_make(&c, 60, &cell, s, &e), e);
-    assert_true(schedule_fade(&s[2], 1500) == 1.0);
-    assert_int_equal(schedule_next_look(&s[2]), 1800); /* a tenth of 3,000 later */
-    c.iterations.one = 3300;
-    kit_ok(schedule_make(&c, 60, &cell, longer, &e), e);
-    struct schedule on = schedule_go_on(&s[2], &c, &cell, 1800, 1800);
-    assert_true(schedule_total(&on) == 3300.0);
-    assert_true(fabs(on.lr_factor - longer[2].lr_factor) < 1e-12);
-    assert_true(fabs(schedule_lr_mean(&on, 1700) - longer[2].lr_mean_last) < 1e-15);
-    assert_true(schedule_fade(&on, 1800) == 1.0 && schedule_done(&on, 1501) == 1.0);
-    for (uint32_t t = 1501; t <= 1800; t++)
-        assert_true(!schedule_densify_index(&on, t) && !schedule_resets(&on, t) &&
-                    !schedule_thinning(&on, t));
-    assert_int_equal(schedule_end(&on, &c), 2250);
-    on = schedule_go_on(&on, &c, &cell, 2250, 1800);
-    assert_true(schedule_fade(&on, 1800) == 1.0);
-    assert_true(fabs(schedule_fade(&on, 2250) - 0.1) < 1e-12);
-    /* at most as long as the full method */
-    on = s[2];
-    while (schedule_next_look(&on) > on.steps)
-        on = schedule_go_on(&on, &c, &cell, schedule_next_look(&on), schedule_next_look(&on));
-    assert_int_equal(schedule_end(&on, &c), 58500);
-    c.lr_end = 1.0;
-    assert_int_equal(schedule_end(&on, &c), on.steps);
     arena_free(&a);
 }
 

@@ -71,7 +71,6 @@ static bool away(const double m[3])
 
 static void test_differences(void **state)
 {
-    (void)state;
     for (uint64_t seed = 1; seed <= 4; seed++) {
         struct solid_input in = input();
         in.known = seed % 2 ? known : NULL;
@@ -154,7 +153,6 @@ static void check_kernels(uint32_t width, struct view_case *s, const struct soli
 
 static void test_kernels_match_reference(void **state)
 {
-    (void)state;
     for (uint32_t width = 0; width < 2; width++)
         for (uint64_t seed = 301; seed <= 304; seed++) {
             struct view_case s = view_case_make(seed, 120, RENDER_AA_2D, 0);
@@ -171,7 +169,6 @@ static void test_kernels_match_reference(void **state)
 /* An opaque plane has no spread and no light, and two sheets have their distance as spread. */
 static void test_by_hand(void **state)
 {
-    (void)state;
     struct solid_input in = input();
     static float all_known[PX_H * PX_W];
     size_t px = (size_t)PX_W * PX_H;
@@ -209,7 +206,6 @@ static void test_by_hand(void **state)
 
 static void test_errors(void **state)
 {
-    (void)state;
     struct view_case s = view_case_make(1, 4, RENDER_AA_2D, 0);
     struct solid_input in = input();
     struct render_model model = {0};

@@ -111,7 +111,6 @@ static void expect_calls(const char *const *what, size_t n)
 
 static void a_row_is_a_term(void **state)
 {
-    (void)state;
     static const char *const all[] = {"hand over", "toy", "toy", "colour", "ray"};
     struct train_config cfg = {.scale_weight = 0.5};
     struct gallery gallery = {.cfg = &cfg};

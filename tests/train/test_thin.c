@@ -22,7 +22,6 @@ static size_t choose(const float *rise, const uint16_t *views, size_t n, double 
 
 static void the_cheapest_go_up_to_the_limit(void **state)
 {
-    (void)state;
     enum { N = 9 };
     const float rise[N] = {4.0f, 0.5f, 9.0f, 0.25f, 8.0f, 1.0f, 9.0f, 8.0f, 7.0f};
     const uint16_t views[N] = {3, 3, 3, 3, 3, 3, 3, 3, 3};
@@ -39,7 +38,6 @@ static void the_cheapest_go_up_to_the_limit(void **state)
 /* Prices hold while neighbours stay: whatever the limit, two thirds remain. */
 static void no_more_than_a_third_goes(void **state)
 {
-    (void)state;
     const float rise[3] = {1.0f, 3.0f, 2.0f};
     const uint16_t views[3] = {1, 1, 1};
     uint32_t keep[3];
@@ -52,7 +50,6 @@ static void no_more_than_a_third_goes(void **state)
 
 static void equal_ones_go_in_the_order_of_rows(void **state)
 {
-    (void)state;
     const float rise[7] = {1.0f, 1.0f, 1.0f, 1.0f, 1.0f, 1.0f, 1.0f};
     const uint16_t views[7] = {1, 2, 1, 2, 1, 1, 1};
     uint32_t keep[7];
@@ -64,7 +61,6 @@ static void equal_ones_go_in_the_order_of_rows(void **state)
 
 static void what_no_photograph_shows_goes_if_all_were_asked(void **state)
 {
-    (void)state;
     const float rise[6] = {0.0f, 1.0f, 0.0f, 5.0f, 5.0f, 5.0f};
     const uint16_t views[6] = {0, 2, 1, 2, 2, 2};
     uint32_t keep[6];
@@ -78,7 +74,6 @@ static void what_no_photograph_shows_goes_if_all_were_asked(void **state)
 /* Three times in the first half of the steps that follow densification, at the finest level. */
 static void it_happens_while_steps_are_left(void **state)
 {
-    (void)state;
     struct schedule s = {.level = 3, .n_levels = 3, .steps = 1000, .densify_until = 400};
     uint32_t n = 0;
     for (uint32_t step = 1; step <= s.steps; step++)
@@ -100,7 +95,6 @@ static void it_happens_while_steps_are_left(void **state)
  * not drawn. */
 static void a_level_is_thinned_to_its_number(void **state)
 {
-    (void)state;
     struct err e = {0};
     const float rise[8] = {1.0f, 9.0f, 0.0f, 2.0f, 8.0f, 3.0f, 7.0f, 0.5f};
     const uint16_t views[8] = {1, 1, 0, 1, 1, 1, 1, 1};
@@ -125,7 +119,6 @@ static void a_level_is_thinned_to_its_number(void **state)
  * the coarse model, and never more than its budget; also where its steps are fewer. */
 static void a_derived_level_ends_with_its_share(void **state)
 {
-    (void)state;
     for (uint32_t steps = 1; steps <= 400; steps = 2 * steps + 1) {
         struct schedule s = {.level = 2,
                              .n_levels = 3,

@@ -22,7 +22,6 @@ static void pause_some(void)
 static void test_shares_add_up(void **state)
 {
     struct timing c;
-    (void)state;
     double before = clock_s(); /* the clock of the run starts between the two */
     timing_start(&c, TIMING_START);
     double start = clock_s();
@@ -51,7 +50,6 @@ static void test_text(void **state)
 {
     struct timing_seconds t = {0};
     char text[256], little[16];
-    (void)state;
     t.s[TIMING_STEP] = 80.0;
     t.s[TIMING_DENSIFY] = 19.9;
     t.s[TIMING_IMPORTANCE] = 0.1; /* below half a per cent */
@@ -69,7 +67,6 @@ static void test_text(void **state)
 static void test_json(void **state)
 {
     struct timing_seconds t, back;
-    (void)state;
     for (size_t i = 0; i < TIMING_COUNT; i++)
         t.s[i] = 0.25 * (double)i;
     json_t *o = timing_json(&t);

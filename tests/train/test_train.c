@@ -34,7 +34,6 @@
 
 static void cameras_at_training_size_keep_the_view(void **state)
 {
-    (void)state;
     struct camera c = blobs_camera(0);
     c.width_px = 4000;
     c.height_px = 3000;
@@ -53,7 +52,6 @@ static void cameras_at_training_size_keep_the_view(void **state)
 
 static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     uint32_t *images;
@@ -104,7 +102,6 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
 
 static void the_feed_cuts_photographs_to_their_windows(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct scene s;
     uint32_t *images;
@@ -149,7 +146,6 @@ static void the_feed_cuts_photographs_to_their_windows(void **state)
 
 static void training_improves_keeps_budgets_and_repeats(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct arena a = {0};
     char out[2][FILE_PATH_MAX];
@@ -223,7 +219,6 @@ static size_t thinnings(const char *out, size_t *least, size_t *most)
  * fewer, at most a third goes at a time, and no Gaussian is added afterwards. */
 static void thinning_leaves_what_the_option_says(void **state)
 {
-    (void)state;
     static const double db[] = {0.0, 0.02, 0.05, 100.0};
     enum { RUNS = sizeof db / sizeof db[0], BUDGET = 150 };
     size_t left[RUNS];
@@ -266,7 +261,6 @@ static double last_psnr(const char *out, unsigned level)
  * trained for themselves, and the same in every run. */
 static void coarser_levels_are_made_of_the_finest(void **state)
 {
-    (void)state;
     enum { PLAIN, MADE, AGAIN, RUNS };
     struct err e = {0};
     struct arena a = {0};
@@ -337,7 +331,6 @@ static unsigned pruned_levels(const char *out)
  * coarse, and it would leave gaps in other views. */
 static void levels_that_are_trained_once_are_pruned(void **state)
 {
-    (void)state;
     static const struct {
         enum schedule_order order;
         unsigned pruned;
@@ -358,7 +351,6 @@ static void levels_that_are_trained_once_are_pruned(void **state)
  * parameter shows. */
 static void twenty_steps_give_the_golden_trace(void **state)
 {
-    (void)state;
     static const double golden[20] = {0.250743, 0.263665, 0.238544, 0.235704, 0.229938,
                                       0.225960, 0.230517, 0.223437, 0.222595, 0.216115,
                                       0.219659, 0.227272, 0.205244, 0.207920, 0.206061,
@@ -411,7 +403,6 @@ static void twenty_steps_give_the_golden_trace(void **state)
 
 static void a_scene_without_points_starts_from_random_ones(void **state)
 {
-    (void)state;
     struct trial t;
     trial_open_in(&t);
     blobs_write(t.out, false);
@@ -428,7 +419,6 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
  * scored and written down without it. */
 static void pictures_smaller_than_the_window_are_scored_without_it(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct buf lines = {0};
     struct trial t;
@@ -447,7 +437,6 @@ static void pictures_smaller_than_the_window_are_scored_without_it(void **state)
 
 static void broken_scenes_are_one_clear_error(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct trial t;
     trial_open_in(&t);
@@ -470,7 +459,6 @@ static void broken_scenes_are_one_clear_error(void **state)
  * alone gives the same bytes, and a finished cell is not trained again by --resume. */
 static void cells_of_a_plan_are_trained_on_their_own(void **state)
 {
-    (void)state;
     char path[FILE_PATH_MAX + 64];
     struct scene s;
     struct partition plan = {0};

@@ -56,13 +56,6 @@ export async function callAll(baseUrl: string, operators: string, ds: string): P
     const heights: string = splats.heights;
     if (!heights) throw new Error("heights above what?");
     note("GET /collections/{ds}/tiles.json", await api.GET("/collections/{ds}/tiles.json", { params: { path: { ds } } }));
-    note("GET /collections/{ds}/map/tiles", await api.GET("/collections/{ds}/map/tiles", { params: { path: { ds } } }));
-    const tileset = await api.GET("/collections/{ds}/map/tiles/WebMercatorQuad", { params: { path: { ds } } });
-    tileset.data?.tileMatrixSetLimits?.map(({ maxTileRow }) => maxTileRow + 1);
-    note("GET /collections/{ds}/map/tiles/WebMercatorQuad", tileset);
-    const matrices = await api.GET("/tileMatrixSets/WebMercatorQuad");
-    matrices.data?.tileMatrices.map(({ scaleDenominator }) => scaleDenominator.toFixed());
-    note("GET /tileMatrixSets/WebMercatorQuad", matrices);
 
     // ---- tiles ----
     const entry = await api.GET("/d/{ds}/tileset.json", { params: { path: { ds }, query: { sh: 0, preset: "preview" } } });

@@ -1,10 +1,11 @@
-// CesiumJS draws the served tileset through the example page: the second, independent map client.
+// CesiumJS draws the served tileset: the second, independent map client.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { closeAll, openPage, useWholeBrowser } from "./lib/browser.mjs";
+import { closeAll, useWholeBrowser } from "./lib/browser.mjs";
+import { lookFrom, openCesium } from "./lib/cesium.mjs";
 import { checkNorth, checkSouth, measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { makeCity, ORIGIN } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
@@ -24,10 +25,7 @@ let opened;
 before(async () => {
     source = await openSource({ signed: true });
     const name = await firstDataSet(source.url);
-    opened = await openPage(`${source.url}/examples/cesium.html?ds=${name}`, SIZE);
-    await opened.page.waitForFunction(() => window.tileset !== undefined, null, {
-        timeout: TIMEOUT_MS,
-    });
+    opened = await openCesium(`${source.url}/d/${name}/tileset.json`, SIZE);
     await opened.page.addStyleTag({ content: ".cesium-widget-credits{display:none!important}" });
 });
 after(() => closeAll(opened, source));
@@ -62,20 +60,7 @@ async function settle(page) {
 }
 
 async function look(page, pose) {
-    await page.evaluate((p) => {
-        const { camera, scene } = window.widget;
-        const aspect = scene.drawingBufferWidth / scene.drawingBufferHeight;
-        const fovy = Cesium.Math.toRadians(p.fov);
-        camera.frustum.fov = aspect > 1 ? 2 * Math.atan(Math.tan(fovy / 2) * aspect) : fovy;
-        camera.setView({
-            destination: Cesium.Cartesian3.fromDegrees(p.lon, p.lat, p.h),
-            orientation: {
-                heading: Cesium.Math.toRadians(p.heading),
-                pitch: Cesium.Math.toRadians(p.pitch),
-                roll: 0,
-            },
-        });
-    }, pose);
+    await lookFrom(page, pose);
     await settle(page);
     // Sorted for the new direction when the picture stays as it is, which takes a busy machine seconds.
     let [last, same] = [null, 0];
@@ -113,7 +98,7 @@ test(
     async (t) => {
         const name = await firstDataSet(source.url);
         const error = await opened.page.evaluate(() => window.tileset.maximumScreenSpaceError);
-        assert.equal(error, STOCK_PX, "the example sets nothing");
+        assert.equal(error, STOCK_PX, "the page sets nothing");
         for (const [what, [e, n, u, heading, pitch]] of Object.entries(POSES)) {
             const pose = { ...placeOfEnu(ORIGIN, [e, n, u]), heading, pitch, fov: 45 };
             const place = `${pose.lon.toFixed(8)},${pose.lat.toFixed(8)},${pose.h.toFixed(4)}@${heading},${pitch},45`;

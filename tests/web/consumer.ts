@@ -4,9 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import {
     createMapLayer,
-    createTour,
     createViewer,
-    loadStory,
     version,
     type Appearance,
     type MapLayer,
@@ -14,9 +12,6 @@ import {
     type Place,
     type Pose,
     type Problem,
-    type Story,
-    type Tour,
-    type TourState,
     type Viewer,
     type ViewerOptions,
     type ViewerState,
@@ -80,10 +75,9 @@ export async function use(): Promise<string> {
     const picture: URL | null = viewer.serverPicture(800, 600);
     const bytes: ArrayBuffer = await viewer.get("https://city.example/collections");
     const tiles = await viewer.mapTiles();
-    const base = await viewer.basemap();
     for (const end of ends) end();
     viewer.dispose();
-    return [version, place?.h, height, png.size, picture?.href, bytes.byteLength, tiles?.maxZoom, base?.tiles].join();
+    return [version, place?.h, height, png.size, picture?.href, bytes.byteLength, tiles?.maxZoom].join();
 }
 
 export function onMap(container: HTMLElement): MapLayer {
@@ -107,19 +101,5 @@ export function asElement(): string {
     city.addEventListener("pointerdown", (event) => event.preventDefault());
     // @ts-expect-error: a viewer's state has no such member
     city.addEventListener("ready", ({ detail }) => detail.nothing);
-    city.tour = "tour.json";
-    void city.player?.step(1);
     return [city.src, city.scene, city.appearance, city.viewer?.mode].join();
-}
-
-export async function tell(): Promise<TourState> {
-    const story: Story = await loadStory("tour.json");
-    const tour: Tour = createTour(viewer, story);
-    tour.onChange = () => tour.state.name.length;
-    await tour.play();
-    tour.pause();
-    await tour.visit(0);
-    for (const note of story.notes) await tour.visitNote(note);
-    tour.dispose();
-    return tour.state;
 }

@@ -10,6 +10,7 @@ import { after, afterEach, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
 import { openPage, useWholeBrowser, waitForViewer } from "./lib/browser.mjs";
+import { openCesium } from "./lib/cesium.mjs";
 import { SOUTH } from "./lib/checks.mjs";
 import { makeCity, ORIGIN } from "./lib/city.mjs";
 import { serveFiles } from "./lib/files.mjs";
@@ -72,7 +73,7 @@ async function compare(t, client, of = proxy, url = source.url, ds = "fcity") {
 }
 
 test("CesiumJS", skip, async (t) => {
-    opened = await openPage(`${proxy.url}/examples/cesium.html`, SIZE);
+    opened = await openCesium(`${proxy.url}/d/fcity/tileset.json`, SIZE);
     const loaded = () => opened.page.waitForFunction(() => window.tileset?.tilesLoaded, null, { timeout: TIMEOUT_MS, polling: 500 });
     await loaded();
     // Near, where it takes leaves as they are.

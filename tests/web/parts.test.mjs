@@ -11,6 +11,7 @@ import { join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 
 import { barePicture, openPage, useWholeBrowser, waitForViewer } from "./lib/browser.mjs";
+import { lookFrom, openCesium } from "./lib/cesium.mjs";
 import { checkSouth, measureContent, SOUTH } from "./lib/checks.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { BIN, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
@@ -112,22 +113,10 @@ test("the viewer draws the export", skip, () =>
     checkViewer(`${source.url}/?url=${encodeURIComponent(`${site.url}/city/tileset.json`)}`));
 
 test("CesiumJS draws it", skip, async () => {
-    const { page, close } = await openPage(`${source.url}/examples/cesium.html?ds=fcity`, SIZE);
+    const { page, close } = await openCesium(`${source.url}/d/fcity/tileset.json`, SIZE);
     try {
-        await page.waitForFunction(() => window.tileset !== undefined, null, { timeout: 120_000 });
-        await page.evaluate((p) => {
-            window.tileset.maximumScreenSpaceError = 1;
-            const { camera } = window.widget;
-            camera.frustum.fov = 2 * Math.atan(Math.tan((p.fov * Math.PI) / 360) * (4 / 3));
-            camera.setView({
-                destination: Cesium.Cartesian3.fromDegrees(p.lon, p.lat, p.h),
-                orientation: {
-                    heading: (p.heading * Math.PI) / 180,
-                    pitch: (p.pitch * Math.PI) / 180,
-                    roll: 0,
-                },
-            });
-        }, SOUTH);
+        await page.evaluate(() => (window.tileset.maximumScreenSpaceError = 1));
+        await lookFrom(page, SOUTH);
         let faults = ["nothing was drawn"];
         for (let tries = 0; faults.length && tries < 60; tries++) {
             await page.waitForTimeout(2000);

@@ -16,11 +16,11 @@ import { parseArgs } from "node:util";
 const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
     [
-        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "reach", "habits", "compare", "tasks", "fade", "wander", "mark", "story", "visit"],
-        ...["cesium", "globe", "engines", "recipes", "forms", "light", "three", "raster", "parts", "maplibre"],
+        ...["viewer", "ssim", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "reach", "habits", "compare", "tasks", "fade", "wander", "mark", "visit"],
+        ...["cesium", "engines", "recipes", "forms", "light", "three", "raster", "parts", "maplibre"],
     ],
 );
-const TESTS = ["api", "views", "decoder", "source", "pick", "walk", "pmtiles", "streamed", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];
+const TESTS = ["api", "views", "decoder", "source", "pick", "walk", "pmtiles", "validate", "readers", "las", "writers", "seed", "ground", "tools", ...BROWSER_TESTS];
 const SKIP = 77;
 
 const { values, positionals } = parseArgs({

@@ -26,7 +26,7 @@ enum train_stream_id {
     TRAIN_STREAM_SHUFFLE = 1,
     TRAIN_STREAM_INIT,
     TRAIN_STREAM_RACE,
-    TRAIN_STREAM_VIEWS = 5, /* 4 was used by a split that is gone */
+    TRAIN_STREAM_VIEWS = 5, /* 4 was used by a split that was removed */
     TRAIN_STREAM_SIMILARITY,
     TRAIN_STREAM_EMBED,
     TRAIN_STREAM_BACKGROUND,

@@ -21,7 +21,6 @@
 #define SCHEDULE_LR_FINAL 1.6e-6    /* rate of positions at a level's end, half cell edges; 3DGS */
 #define SCHEDULE_LR_RESTART 0.5     /* of lr_mean, at the start of levels after the first */
 #define SCHEDULE_SH_INTERVAL 1000.0 /* steps before the next degree of harmonics; 3DGS */
-#define SCHEDULE_LOOK 0.1           /* of the steps so far, between looks at a level that goes on */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Steps of the levels as published, coarsest first. */
@@ -194,26 +193,20 @@ static double schedule_fade_share(const struct train_config *cfg)
     return cfg->lr_end < 1.0 ? SCHEDULE_FADE_SHARE : 0.0;
 }
 
-/* How a level ends from which no other goes on: its rates fall. With --go-on-db the finest one goes
- * on before they do. */
-static void schedule_fill_end(const struct train_config *cfg, double longest, struct schedule *s)
+/* How a level ends from which no other goes on: its rates fall. */
+static void schedule_fill_end(const struct train_config *cfg, struct schedule *s)
 {
     s->fade_from = s->steps;
     s->fade_to = cfg->lr_end;
-    if (s->level < s->n_levels)
-        return;
-    double stays = 1.0 - schedule_fade_share(cfg);
-    if (!(cfg->go_on_db > 0.0))
-        s->fade_from = (uint32_t)floor((double)s->steps * stays + 0.5);
-    else if (longest > s->kappa)
-        s->most = schedule_round(((double)s->steps + s->full * (longest - s->kappa)) * stays);
+    if (s->level == s->n_levels)
+        s->fade_from = (uint32_t)floor((double)s->steps * (1.0 - schedule_fade_share(cfg)) + 0.5);
 }
 
 struct schedule schedule_again(const struct schedule *s, const struct schedule *finer,
                                const struct train_config *cfg)
 {
     struct schedule again = *s;
-    again.steps = again.planned = again.most = s->tuned > 0 ? s->tuned : 1;
+    again.steps = s->tuned > 0 ? s->tuned : 1;
     again.turn = 2 * s->n_levels - s->level;
     again.derived = true;
     again.thin_share = fmin((double)s->budget / (double)finer->budget, 1.0);
@@ -225,36 +218,6 @@ struct schedule schedule_again(const struct schedule *s, const struct schedule *
     again.size_from = 0;
     again.sh_interval = 0; /* what fades during a level is at its end */
     return again;
-}
-
-double schedule_total(const struct schedule *s)
-{
-    return s->total + (double)s->steps - (double)s->planned;
-}
-
-uint32_t schedule_next_look(const struct schedule *s)
-{
-    double next = ceil((double)s->steps + SCHEDULE_LOOK * schedule_total(s));
-    return (uint32_t)fmax(fmin(next, (double)s->most), (double)s->steps);
-}
-
-uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg)
-{
-    return schedule_round((double)s->steps / (1.0 - schedule_fade_share(cfg)));
-}
-
-struct schedule schedule_go_on(const struct schedule *s, const struct train_config *cfg,
-                               const struct cell *cell, uint32_t steps, uint32_t fade_from)
-{
-    struct schedule on = *s;
-    on.steps = steps;
-    on.kappa = schedule_total(&on) / on.full;
-    on.fade_from = fade_from;
-    on.reset_interval = 0;
-    on.last = true;
-    schedule_rates(cfg, cell, &on);
-    on.lr_mean_first = on.lr_mean_last;
-    return on;
 }
 
 double schedule_full(const struct train_config *cfg)
@@ -274,14 +237,10 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     if (rc)
         return rc;
     const int64_t asked = schedule_asked(cfg, n_photos);
-    if (cfg->go_on_db > 0.0 && asked <= 0)
-        return err_set(e, ERR_ARG,
-                       "--go-on-db needs one value of --iterations, the length from which training "
-                       "goes on: 3000 suits most scenes");
     for (size_t l = 0; l < TRAIN_LEVELS_MAX; l++)
         base[l] = schedule_base_at(cfg, l);
     uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
-    double total = schedule_full(cfg), kappa = schedule_kappa(n_photos), longest = kappa;
+    double total = schedule_full(cfg), kappa = schedule_kappa(n_photos);
     double share = cell->steps_share > 0.0 ? cell->steps_share : 1.0;
     int64_t left = (int64_t)fmax(floor((double)asked * share + 0.5), 1.0);
     kappa = asked > 0 ? (double)left / total : kappa * share;
@@ -299,11 +258,9 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
                            n, steps, "--level-count");
         const double tuned = floor((double)schedule_base_tuned(cfg, first + l) * kappa + 0.5);
         s->tuned = (uint32_t)fmin(tuned, floor(0.5 * steps));
-        s->steps = s->planned = s->most = (uint32_t)steps - s->tuned;
-        s->full = total;
-        s->total = total * kappa;
+        s->steps = (uint32_t)steps - s->tuned;
         schedule_fill(cfg, b, kappa, cell, s);
-        schedule_fill_end(cfg, longest * share, s);
+        schedule_fill_end(cfg, s);
         s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
         if (l > 0 && s->budget < out[l - 1].budget)
             return err_set(e, ERR_ARG,

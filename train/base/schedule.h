@@ -15,9 +15,7 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
     uint32_t turn;            /* from 1: which of them is trained first, second, ... */
     uint32_t steps;
-    uint32_t planned; /* steps before the level goes on (schedule_go_on); else equal to steps */
-    uint32_t most;    /* steps to which it may go on */
-    uint32_t tuned;   /* --level-order both: steps of the level when it is made of the finer one */
+    uint32_t tuned; /* --level-order both: steps of the level when it is made of the finer one */
     double downsample;
     size_t budget; /* Gaussians inside the cell */
     size_t around; /* Gaussians of the coarse model around the cell */
@@ -41,7 +39,6 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     /* factor on step counts: photographs / 600 if above 1, or the part of the full length that a
      * short run has */
     double kappa;
-    double total, full; /* steps of all levels: as planned; of a run of full length */
 };
 struct cell;
 /* --level-order, in the order of options.def. */
@@ -49,8 +46,8 @@ enum schedule_order { SCHEDULE_COARSE_TO_FINE, SCHEDULE_BOTH };
 /* Part of the finest level in which its rates fall, its last
  * (docs/decisions/013-rates-and-length.md). */
 #define SCHEDULE_FADE_SHARE 0.2
-/* Steps of all levels together that --iterations or its default asks for. 0: a list says it of each
- * level. */
+/* Steps of all levels together that --iterations or its default asks for. 0: a list gives the steps
+ * of each level. */
 int64_t schedule_asked(const struct train_config *cfg, size_t n_photos);
 /* Steps of all levels in a run of full length, before they grow with the photographs. */
 double schedule_full(const struct train_config *cfg);
@@ -62,18 +59,6 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
  * schedule_make. */
 struct schedule schedule_again(const struct schedule *s, const struct schedule *finer,
                                const struct train_config *cfg);
-/* The finest level as it goes on after its own steps until `steps`, without growth. Its rates are
- * those at the end of a run that is as long, and fall after the step fade_from (>= steps: never).
- * `s`: of schedule_make, or of this. */
-struct schedule schedule_go_on(const struct schedule *s, const struct train_config *cfg,
-                               const struct cell *cell, uint32_t steps, uint32_t fade_from);
-/* Step of the next look at a level that goes on: a tenth of the run's steps later, at most s->most.
- * s->steps: there is no room for one. */
-uint32_t schedule_next_look(const struct schedule *s);
-/* Where a level ends whose rates fall from here on. */
-uint32_t schedule_end(const struct schedule *s, const struct train_config *cfg);
-/* Steps of all levels that a run has made when this level, its finest, is at its end. */
-double schedule_total(const struct schedule *s);
 /* Largest number of Gaussians inside the cell at densification x of n: a parabola that rises fast
  * at first, from `start` at x = 0 to `budget` at x = n - 1. If start >= budget it is start. If n <=
  * 1 it is budget. */

@@ -15,11 +15,7 @@ struct stage {
     uint32_t at;   /* levels[at] is the current level; n_levels: all are done */
     uint32_t step; /* of this level: the step in work, or the last one done; 0 at first */
     bool pruned;   /* level_prune, the end of the level, is done */
-    /* of a level that goes on: score at the last look that showed a gain (0: there was no look),
-     * and looks since */
-    double held_db;
-    uint32_t in_vain;
-    size_t start; /* Gaussians inside the cell when this level began */
+    size_t start;  /* Gaussians inside the cell when this level began */
 };
 /* The level that follows `at`; n_levels: none does. */
 static inline uint32_t stage_after(const struct stage *s, uint32_t at)
@@ -35,8 +31,9 @@ static inline void stage_turn(struct stage *s, const struct train_config *cfg)
     for (uint32_t l = 0; l + 1 < s->n_levels; l++)
         s->levels[l] = schedule_again(&s->levels[l], &s->levels[l + 1], cfg);
 }
-/* Whether a level is pruned at its end. One that is made of a finer level has what is left of that.
- * One that will be made again only says where the next one begins. */
+/* Whether a level is pruned at its end. A level that is made of a finer one is not: its Gaussians
+ * are what thinning left. Nor is a level that will be made again: it is only the start of the next
+ * one. */
 static inline bool stage_prunes(const struct stage *at, const struct schedule *s)
 {
     return !s->derived && (!at->again || s->level == s->n_levels);

@@ -50,10 +50,10 @@ struct prune_trial { /* so many of the weakest removed, and what that costs */
     size_t go;
     double lost_db;
 };
-/* How many to remove next, above lo and below hi, which lost too much; for tests. sum [go]: scores
- * of the weakest `go`. It is where a power through both (hi alone, if lo lost nothing) meets what
- * is aimed at, halfway between the scores where hi is far off, and halfway between the counts where
- * neither helps. */
+/* The number to remove in the next trial, above lo and below hi, which lost too much; for tests.
+ * sum [go]: scores of the weakest `go`. It is where a power function through both (through hi
+ * alone, if lo lost nothing) reaches the aim; halfway between the scores if hi is far off; halfway
+ * between the counts if neither gives a number between. */
 size_t prune_next(const double *sum, const struct prune_trial *lo, const struct prune_trial *hi,
                   double aim_db);
 

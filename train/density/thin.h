@@ -51,15 +51,15 @@ size_t thin_outside(const struct schedule *s, size_t n);
 
 enum { THIN_SIDES = 2 };
 struct thin_rule {
-    double limit;            /* largest sum of the prices of what goes */
+    double limit;            /* largest sum of the prices of what is removed */
     bool all_drawn;          /* all photographs were drawn */
     const uint8_t *outside;  /* [n] side of each; NULL: all are on side 0 */
     size_t most[THIN_SIDES]; /* of each side that may go */
 };
 /* The choice alone, for tests. rise [n]: prices; views [n]: photographs that show a Gaussian. What
  * none shows goes first if all were drawn, else last, at an infinite price. keep [n] gets the rows
- * that stay, ascending, *n_keep their number, and *given the finite prices of what goes. Equal ones
- * go in the order of rows. ERR_MEM. */
+ * that stay, ascending, *n_keep their number, and *given the finite prices of what goes. Gaussians
+ * of equal price are removed in the order of rows. ERR_MEM. */
 enum err_code thin_choose(const float *rise, const uint16_t *views, size_t n,
                           const struct thin_rule *rule, uint32_t *keep, size_t *n_keep,
                           double *given, struct err *e) ERR_USE;

@@ -16,9 +16,9 @@
  *     L = flat_weight / (2 N) sum_i log(1 + (min_k s_ik / flat_m)^2)    on GROUND_PART_FLAT
  *         + level_weight / N sum_i (1 - n_iz^2)                         on GROUND_PART_LEVEL
  *
- * The first term makes Gaussians flat. Its pull on log s is the same for all that are thicker than
- * flat_m, and goes to 0 below (PGSR, Chen et al. 2024, presses the least axis itself). The second
- * turns flat Gaussians level, and acts on their rotations alone. */
+ * The first term makes Gaussians flat. Its gradient in log s is the same for all that are thicker
+ * than flat_m, and goes to 0 below (PGSR, Chen et al. 2024, penalises the least axis itself). The
+ * second turns flat Gaussians level, and acts on their rotations alone. */
 struct flat_loss_input {
     double flat_weight, flat_m; /* flat_m is read where flat_weight > 0 */
     double level_weight;

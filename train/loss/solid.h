@@ -11,12 +11,12 @@
  *              where a depth zeta* is known, with V + (zeta - zeta*)^2 = sum w (m - m*)^2 / A in
  *              place of V; of a photograph with known depths, over pixels of known depth alone
  *     light  = 1/n sum of h(T) over the supported pixels; light_known: those of known depth
- *              h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: what is closed is left alone
+ * h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: closed ground has hardly any gradient
  *
  * s is the standard deviation of depth along the ray, in footprints of a pixel. The terms are A s
  * where r is small, and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large
- * values have hardly any pull. At an edge two surfaces share the light of a pixel. A loss that
- * pulls there, even weakly, lifts the ground of narrow courts. A and focal / zeta are
+ * values have hardly any gradient. At an edge two surfaces share the light of a pixel. A loss with
+ * a gradient there, even a small one, lifts the ground of narrow courts. A and focal / zeta are
  * constants in the gradient: else a Gaussian would lower the loss by moving away from the camera.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.

@@ -334,20 +334,6 @@ void appearance_train_update(struct appearance_train *k, uint32_t image, double 
             memcpy(a->images + i * len, a->images + row * len, len * sizeof(float));
 }
 
-void appearance_train_get(const struct appearance_train *k, uint32_t image, float *out)
-{
-    size_t len = k->model.len_image;
-    memcpy(out, k->model.images + k->alike[k->row[image]] * len, len * sizeof *out);
-}
-
-void appearance_train_set(struct appearance_train *k, uint32_t image, const float *in)
-{
-    size_t len = k->model.len_image, row = k->alike[k->row[image]];
-    for (size_t i = row; i < k->model.n_images; i++)
-        if (k->alike[i] == row)
-            memcpy(k->model.images + i * len, in, len * sizeof *in);
-}
-
 void appearance_train_restart(struct appearance_train *k)
 {
     const struct appearance *a = &k->model;

@@ -68,10 +68,6 @@ double appearance_train_lr(const struct appearance_train *k, const struct train_
 /* Constants of a frame in the appearance of scene image `image`. NULL: appearance is off, or the
  * photograph has no row. Borrowed until the next call. */
 const float *appearance_train_frame(struct appearance_train *k, uint32_t image);
-/* Get or set the embedding [len_image] of a photograph with a row. Setting applies to its whole
- * appearance group. */
-void appearance_train_get(const struct appearance_train *k, uint32_t image, float *out);
-void appearance_train_set(struct appearance_train *k, uint32_t image, const float *in);
 /* Makes one Adam step of the network and of a photograph, with the gradient in frame_grad. */
 void appearance_train_update(struct appearance_train *k, uint32_t image, double lr);
 /* Ends a level: moments become 0, learned values stay. */

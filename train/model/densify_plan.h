@@ -11,8 +11,8 @@
 
 #include "render/permute.h"
 
-/* Nothing is farther above the highest or below the lowest sparse point nearby, in flight heights
- * (docs/decisions/011-density-control.md). */
+/* Gaussians farther above the highest or below the lowest sparse point nearby are removed, in
+ * flight heights (docs/decisions/011-density-control.md). */
 #define DENSIFY_FREE_SPACE 0.05
 
 struct cell;
@@ -42,7 +42,7 @@ struct densify_params {
     const struct trim
         *rim; /* where the photographs end: Gaussians outside are removed; NULL: not known */
     double cut_above_m; /* larger ones that reach out of the photographs are split first */
-    bool keep_order;    /* no row goes far: children come behind their parents' places */
+    bool keep_order;    /* rows stay near their places: children follow their parents */
     uint64_t seed;
     uint32_t level, step;
 };

@@ -23,7 +23,7 @@ struct scene;
 struct init_input { /* all borrowed */
     const struct scene *scene;
     const uint32_t *images;              /* [n_images] training photographs */
-    const struct camera_window *windows; /* [n_images] parts of them that count; NULL: all */
+    const struct camera_window *windows; /* [n_images] used part of each; NULL: all of it */
     size_t n_images;
     const struct cell *cell;
     const struct footprint *ground; /* NULL: Gaussians only at points */

@@ -256,24 +256,6 @@ enum err_code model_show(struct model *m, size_t n, struct err *e)
     return model_zero_stats(m, e);
 }
 
-enum err_code model_forget(struct model *m, struct err *e)
-{
-    const uint32_t n = m->gauss.n, planes = m->gauss.planes, lane = n % LAYOUT_LANES;
-    cl_mem *arrays[MODEL_ARRAYS];
-    enum err_code rc = ERR_OK;
-    model_arrays(m, arrays);
-    for (size_t k = 0; !rc && lane && k < MODEL_ARRAYS; k++) {
-        void *at = NULL;
-        rc = dev_map(m->dev, *arrays[k], CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &at, e);
-        for (uint32_t p = 0; !rc && p < planes; p++)
-            memset((float *)at + layout_at(n, planes) + (size_t)p * LAYOUT_LANES, 0,
-                   (LAYOUT_LANES - lane) * sizeof(float));
-        if (!rc)
-            rc = dev_unmap(m->dev, *arrays[k], &at, e);
-    }
-    return rc;
-}
-
 /* ---- looking at it and changing it in place ---- */
 
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e)

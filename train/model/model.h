@@ -95,8 +95,6 @@ enum err_code model_move(struct model *m, const struct permutation *r, size_t mo
 /* Draws only the first n rows from now on; a larger n shows rows of the last model_move again.
  * Hidden rows are kept. Statistics become 0. ERR_DEVICE. */
 enum err_code model_show(struct model *m, size_t n, struct err *e) ERR_USE;
-/* Removes the hidden rows for good. ERR_DEVICE. */
-enum err_code model_forget(struct model *m, struct err *e) ERR_USE;
 /* Set moments, or statistics, to 0. ERR_DEVICE. */
 enum err_code model_zero_moments(struct model *m, struct err *e) ERR_USE;
 enum err_code model_zero_stats(struct model *m, struct err *e) ERR_USE;

@@ -74,8 +74,8 @@ struct camera gallery_camera(const struct gallery *g, size_t nth, const struct s
 double gallery_footprint_m(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
 /* The longest sigma in metres of Gaussians that density control clones; longer ones are split. It
- * is a pixel of the level's photographs on the ground. Where the ground is not known it is a part
- * of the camera extent (3DGS). */
+ * is the footprint of a pixel of the level's photographs on the ground. If the ground is not known,
+ * it is a fixed share of the camera extent (3DGS). */
 double gallery_split_above(const struct gallery *g, const struct site *site,
                            const struct schedule *s);
 /* The length in metres that no Gaussian should exceed over supported ground. It is five times the

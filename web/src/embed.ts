@@ -4,21 +4,19 @@
 import { parseView } from "./address";
 import { ElementFrame, FRAME_STYLE } from "./frame";
 import { Problem, type ProblemKind } from "./problem";
-import { loadStory, Tour, type TourState } from "./tour";
-import { TOUR_STYLE, TourCard } from "./tourcard";
 import type { Mode, ViewerEvents, ViewerOptions } from "./types";
 import { createViewer, type Viewer } from "./viewer";
 
 const EVENTS = ["ready", "scene", "problem", "move", "click", "unclick", "appearance", "link"] as const;
 type EventName = (typeof EVENTS)[number];
 // Events of <city-splat> by name; `detail` is what the viewer tells.
-export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> } & { tour: CustomEvent<TourState> };
+export type CitySplatEvents = { [Name in EventName]: CustomEvent<ViewerEvents[Name]> };
 
-const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit", "tour"] as const;
+const ATTRIBUTES = ["src", "scene", "view", "appearance", "mode", "theme", "detail", "memory", "backdrop", "basemap", "basemap-credit"] as const;
 // Attributes of <city-splat>.
 export type Attribute = (typeof ATTRIBUTES)[number];
 
-const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + FRAME_STYLE + TOUR_STYLE;
+const STYLE = ":host{display:block;position:relative;aspect-ratio:16/9;overflow:hidden}:host([hidden]){display:none}div{position:absolute;inset:0}" + FRAME_STYLE;
 
 // A page that is made on a server imports this, too, and has no elements there.
 const Base = typeof HTMLElement === "function" ? HTMLElement : (class {} as unknown as typeof HTMLElement);
@@ -27,10 +25,7 @@ export class CitySplatElement extends Base {
   // Attributes that count when they change.
   static readonly observedAttributes: readonly string[] = ATTRIBUTES;
   private own: Viewer | null = null;
-  private tours: Tour | null = null;
-  private reading = 0; // the newest text of a tour counts
   private readonly box: HTMLDivElement;
-  private readonly card = new TourCard();
   private readonly frame = new ElementFrame();
 
   constructor() {
@@ -40,19 +35,14 @@ export class CitySplatElement extends Base {
     sheet.replaceSync(STYLE);
     root.adoptedStyleSheets = [sheet];
     this.box = document.createElement("div");
-    root.append(this.box, ...this.frame.nodes, this.card.node);
+    root.append(this.box, ...this.frame.nodes);
     // The element has a click of its own, with the place.
-    for (const node of [this.box, ...this.frame.nodes, this.card.node]) node.addEventListener("click", (event) => event.stopPropagation());
+    for (const node of [this.box, ...this.frame.nodes]) node.addEventListener("click", (event) => event.stopPropagation());
   }
 
   // All that the module can do; null while the element is in no document.
   get viewer(): Viewer | null {
     return this.own;
-  }
-
-  // The tour and the notes of the attribute `tour`; null until they are read.
-  get player(): Tour | null {
-    return this.tours;
   }
 
   // For the browser to call.
@@ -88,7 +78,6 @@ export class CitySplatElement extends Base {
     else if (name === "memory" && Number(now) > 0) viewer.memoryMb = Number(now);
     else if (name === "backdrop") viewer.backdrop = now !== "off";
     else if (name === "basemap" || name === "basemap-credit") viewer.setBasemap(this.basemap);
-    else if (name === "tour") void this.readTour(viewer);
   }
 
   private start(): Viewer {
@@ -110,38 +99,12 @@ export class CitySplatElement extends Base {
     const viewer = createViewer(this.box, options);
     this.frame.serve(viewer, this);
     for (const name of EVENTS) viewer.on(name, (value) => this.tell(name, value));
-    if (text("tour")) void this.readTour(viewer);
     return viewer;
   }
 
   private stop() {
-    this.endTour();
     this.own?.dispose();
     this.own = null;
-  }
-
-  private endTour() {
-    this.reading++;
-    this.tours?.dispose();
-    this.tours = null;
-    this.card.show(null);
-  }
-
-  private async readTour(viewer: Viewer) {
-    this.endTour();
-    const ticket = this.reading;
-    try {
-      const story = await loadStory(this.tour);
-      if (ticket !== this.reading) return;
-      const tour = (this.tours = new Tour(viewer, story));
-      tour.onChange = () => {
-        this.card.show(tour);
-        this.tell("tour", tour.state);
-      };
-      tour.onChange();
-    } catch (error) {
-      if (ticket === this.reading) this.warn("badTour", { why: error instanceof Error ? error.message : String(error) });
-    }
   }
 
   private warn(kind: ProblemKind, values: Record<string, string>) {
@@ -151,7 +114,7 @@ export class CitySplatElement extends Base {
   }
 
   // A click rises through the document, as clicks do; what the viewer tells besides does not.
-  private tell(name: EventName | "tour", detail: unknown) {
+  private tell(name: EventName, detail: unknown) {
     const rises = name === "click";
     this.dispatchEvent(new CustomEvent(name, { detail, bubbles: rises, composed: rises }));
   }
@@ -203,13 +166,6 @@ export class CitySplatElement extends Base {
   }
   set appearance(value: string) {
     this.setAttribute("appearance", value);
-  }
-  // A tour of saved views: its text, or the address of its file.
-  get tour(): string {
-    return this.getAttribute("tour") ?? "";
-  }
-  set tour(value: string) {
-    this.setAttribute("tour", value);
   }
 }
 

@@ -10,13 +10,12 @@ const escaped = (value: string) =>
   value.replace(/[&"<>]/g, (sign) => ({ "&": "&amp;", '"': "&quot;", "<": "&lt;", ">": "&gt;" })[sign]!);
 
 // Of a scene that a server lists: the module lies beside its page.
-export function embedCode(viewer: Viewer, tour: string): string {
+export function embedCode(viewer: Viewer): string {
   const { scene, scenes, pose, state } = viewer;
   const attributes = {
     src: scene?.catalogue?.href ?? "",
     scene: scenes.length > 1 ? (scene?.id ?? "") : "",
     view: formatView({ pose, appearance: state.wanted }),
-    tour,
   };
   const given = Object.entries(attributes).filter(([, value]) => value);
   const words = given.map(([name, value]) => ` ${name}="${escaped(value)}"`).join("");
@@ -33,9 +32,8 @@ export class EmbedDialog {
     element("embed-close").addEventListener("click", () => this.dialog.close());
   }
 
-  // tour: what the link carries.
-  open(tour: string) {
-    this.code.value = embedCode(this.viewer, tour);
+  open() {
+    this.code.value = embedCode(this.viewer);
     const { scene } = this.viewer;
     element<HTMLAnchorElement>("embed-use").href = new URL(`d/${scene!.id}/use`, scene!.catalogue!).href;
     this.dialog.showModal();

@@ -8,7 +8,7 @@ export interface Area {
   bottom: number;
 }
 
-const COVERS = "#panel, #tools, #inset, #dock > :not(#banners, #toast)"; // what comes and goes does not move Home
+const COVERS = "#panel, #tools, #dock > :not(#banners, #toast)"; // what comes and goes does not move Home
 
 // The largest rectangle that none of the covers touches: each side is the picture's or that of a cover.
 export function largestFree(width: number, height: number, covers: readonly DOMRect[]): Area {

@@ -62,7 +62,6 @@ export function toGeoJson(places: Place[], kind: Kind, values: Measures, volume:
 
 export class MeasureTool {
   open = false;
-  asleep = false; // clicks are for somebody else
   private places: Place[] = [];
   private before: Place[] = []; // those before the last click
   private shapes: number[] = []; // what is measured, and a label for each part of it
@@ -74,13 +73,11 @@ export class MeasureTool {
 
   constructor(private readonly viewer: Viewer) {
     viewer.on("click", ({ place }) => {
-      if (this.asleep) return;
       this.before = this.places;
       if (this.open) this.add(place);
       else this.tell(place);
     });
     viewer.on("unclick", () => {
-      if (this.asleep) return;
       if (!this.open) this.tell(null, true);
       else if (this.places !== this.before) this.set(this.before);
     });

@@ -8,7 +8,6 @@ export * from "./viewer";
 export { createMapLayer, MapLayer } from "./maplayer";
 export type { Bounds, MapControl, MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";
 
-export { createTour, loadStory, type Note, type Stop, type Story, type Tour, type TourState } from "./tour";
 
 export { CitySplatElement, type Attribute, type CitySplatEvents } from "./embed";
 

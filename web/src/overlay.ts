@@ -1,6 +1,5 @@
 // Lines, areas and labels over the city, in places of the map. Lines hide behind the city where they
-// are asked to. Labels are HTML, whole inside of the picture; notes keep out of panels, and go where the city or a panel is in
-// front of them.
+// are asked to. Labels are HTML, whole inside of the picture.
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
@@ -11,7 +10,6 @@ import {
   Group,
   Mesh,
   MeshBasicMaterial,
-  Ray,
   ShapeUtils,
   Vector2,
   Vector3,
@@ -31,7 +29,6 @@ export interface Shape {
   color?: string;
   label?: string; // at its middle
   behind?: boolean; // hidden where the city is in front of it; default false
-  note?: boolean; // shown whole or not at all: not where the city is in front of its place
 }
 
 interface Entry {
@@ -39,34 +36,24 @@ interface Entry {
   object: Group;
   label: HTMLElement | null;
   anchor: Vector3;
-  covered: boolean; // of a note: the city is in front of it, or a panel
-  box: { left: number; right: number; middle: number }; // of the label, as it is or would be, in CSS pixels
 }
 
 const EDGE_PX = 4; // between a label and the edge of the picture
-const COVER_MS = 150; // after the last frame: what notes are hidden by is looked up
-const COVER_BUSY_MS = 12; // of that, at a time: each note is a walk over all Gaussians
-const RAISED_M = 1; // a note is looked for so far above its foot
-const COVER_M = 2; // nearer to a note than this, or than this part of the way, the city does not hide it
-const COVER_SHARE = 0.02;
 
 export class Overlay {
   /** @internal */
   readonly group = new Group();
   onWake: () => void = () => {};
   private readonly entries = new Map<number, Entry>();
-  private readonly surface: HTMLElement;
   private readonly labels: HTMLElement;
   private readonly size = new Vector2(1, 1);
   private next = 1;
-  private coverTimer = 0;
 
   /** @internal */
   constructor(
     surface: HTMLElement,
     private readonly stage: Stage,
   ) {
-    this.surface = surface;
     this.group.renderOrder = 5;
     this.labels = document.createElement("div");
     this.labels.className = "citysplat-labels";
@@ -115,70 +102,21 @@ export class Overlay {
   // Labels to where their places are on the screen; after every change of the camera.
   update() {
     const { camera } = this.stage;
-    const whole = { left: 0, right: this.size.x, top: 0, bottom: this.size.y };
-    let free: typeof whole | null = null; // what panels leave
-    for (const entry of this.entries.values()) {
-      const { label, anchor, shape, covered } = entry;
+    const { x: across, y: down } = this.size;
+    for (const { label, anchor } of this.entries.values()) {
       if (!label) continue;
-      if (shape.note) free ??= this.free();
       const at = anchor.clone().project(camera);
       label.hidden = !(at.z > -1 && at.z < 1 && Math.abs(at.x) < 1 && Math.abs(at.y) < 1);
       if (label.hidden) continue;
       const { offsetWidth: width, offsetHeight: height } = label;
-      const [px, py] = [((at.x + 1) / 2) * this.size.x, ((1 - at.y) / 2) * this.size.y];
-      const among = free && shape.note && px > free.left && px < free.right && py > free.top && py < free.bottom;
-      const { left, right, top, bottom } = among ? free! : whole;
-      const inside = (start: number, length: number, from: number, to: number) => Math.round(Math.max(from + EDGE_PX, Math.min(start, to - length - EDGE_PX)));
-      const x = inside(px - width / 2, width, left, right);
-      const y = inside(py - 1.4 * height, height, top, bottom);
+      const inside = (start: number, length: number, whole: number) => Math.round(Math.max(EDGE_PX, Math.min(start, whole - length - EDGE_PX)));
+      const x = inside(((at.x + 1) / 2) * across - width / 2, width, across);
+      const y = inside(((1 - at.y) / 2) * down - 1.4 * height, height, down);
       label.style.transform = `translate(${x}px, ${y}px)`;
-      entry.box = { left: x, right: x + width, middle: y + height / 2 };
-      label.hidden = covered;
     }
-    const notes = free !== null;
-    if (!notes) return;
-    clearTimeout(this.coverTimer);
-    this.coverTimer = window.setTimeout(() => this.lookUp([...this.entries.values()]), COVER_MS);
-  }
-
-  private free() {
-    const { left, right, top, bottom } = this.stage.free();
-    const { x, y } = this.size;
-    return { left: left * x, right: right * x, top: top * y, bottom: bottom * y };
-  }
-
-  // Whether something of the page lies over an end of a note's label.
-  private isUnder({ left, right, middle }: Entry["box"]): boolean {
-    const root = this.surface.getRootNode() as Document | ShadowRoot;
-    const { x, y } = this.surface.getBoundingClientRect();
-    const hits = [left, right].map((at) => root.elementFromPoint(x + at, y + middle));
-    return hits.some((hit) => hit !== null && !this.surface.contains(hit) && !hit.contains(this.surface));
-  }
-
-  // Which notes the city or a panel is in front of, once the picture rests.
-  private lookUp(left: Entry[], changed = false) {
-    const end = performance.now() + COVER_BUSY_MS;
-    const { camera } = this.stage;
-    for (let one = left.pop(); one; one = left.pop()) {
-      if (!one.shape.note) continue;
-      const to = one.anchor.clone().setY(one.anchor.y + RAISED_M).sub(camera.position);
-      const far = to.length();
-      const hit = this.stage.surfaceOn(new Ray(camera.position.clone(), to.normalize()));
-      const behind = hit !== null && hit.distanceTo(camera.position) < far - Math.max(COVER_M, COVER_SHARE * far);
-      const covered = behind || this.isUnder(one.box);
-      changed ||= covered !== one.covered;
-      one.covered = covered;
-      one.object.visible = !covered;
-      if (performance.now() > end && left.length) {
-        this.coverTimer = window.setTimeout(() => this.lookUp(left, changed), 0);
-        return;
-      }
-    }
-    if (changed) this.onWake();
   }
 
   dispose() {
-    clearTimeout(this.coverTimer);
     for (const id of [...this.entries.keys()]) this.drop(id);
     this.entries.clear();
     this.labels.remove();
@@ -223,7 +161,7 @@ export class Overlay {
       Object.assign(label.style, { position: "absolute", left: "0", top: "0", width: "max-content", maxWidth: "min(260px, 60vw)", overflowWrap: "anywhere" });
       this.labels.append(label);
     }
-    return { shape, object, label, anchor, covered: false, box: { left: 0, right: 0, middle: 0 } };
+    return { shape, object, label, anchor };
   }
 
   private line(points: Vector3[], color: Color, behind: boolean): LineSegments2 {

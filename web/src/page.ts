@@ -16,7 +16,6 @@ import { store, stored, theme } from "./choices";
 import { Compare } from "./compare";
 import { copy, element, later, setText, toast } from "./dom";
 import { freePart } from "./free";
-import { Inset } from "./inset";
 import { LayerPanel } from "./layerpanel";
 import { MeasureTool } from "./measure";
 import type { EmbedDialog } from "./embeddialog";
@@ -27,8 +26,6 @@ import { sceneCard } from "./scenecard";
 import { isForScene } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
-import type { StoryBox } from "./storybox";
-import { isStoryKept, storyOf } from "./storylink";
 import { TOUCH } from "./touch";
 import { compass, formatDays, formatPlace } from "./units";
 import type { Mode, Viewer } from "./viewer";
@@ -41,13 +38,10 @@ const ADDRESS_MS = 300; // browsers refuse an address that changes too often
 export class Page {
   private readonly appearance: AppearanceControl;
   private readonly compare: Compare;
-  private readonly inset: Inset;
   private readonly layers: LayerPanel;
   private readonly measure: MeasureTool;
   private shots: ShotDialog | null = null;
   private embeds: EmbedDialog | null = null;
-  private stories: Promise<StoryBox> | null = null;
-  private story = storyOf(location.hash) ?? ""; // what the link carries besides the view
   private addressTimer = 0;
   private offered = false;
   private problem: Error | null = null; // why no scene is open
@@ -62,7 +56,6 @@ export class Page {
     this.layers = new LayerPanel(viewer);
     this.compare = new Compare(viewer, parseComparison(query));
     this.compare.onChange = () => this.address();
-    this.inset = new Inset(viewer);
     this.measure = new MeasureTool(viewer);
     viewer.surface.setAttribute("role", "application");
     viewer.surface.dataset["tLabel"] = "surface.label";
@@ -86,10 +79,8 @@ export class Page {
     document.documentElement.lang = getLanguage();
     translate(document);
     this.appearance.translate();
-    this.inset.translate();
     this.layers.translate();
     this.compare.fill();
-    if (this.stories) void this.openStories((stories) => stories.translate());
     this.applyDetail();
     this.nameWalk(this.viewer.stage.walk);
     this.showTitle();
@@ -106,12 +97,11 @@ export class Page {
       setText("attribution", [viewer.info?.attribution, viewer.basemapCredit].filter(Boolean).join(" · "));
       this.fillChooser();
       this.showFacts();
-      // cesium.html and viewer.js are where a server serves this page.
-      element("globe").hidden = element("embed-button").hidden = !scene.catalogue;
+      // viewer.js is where a server serves this page.
+      element("embed-button").hidden = !scene.catalogue;
       this.showPlace();
       this.frame();
       this.address();
-      if (this.story || isStoryKept(viewer)) void this.openStories();
     });
     viewer.on("move", () => {
       this.showPlace();
@@ -214,7 +204,7 @@ export class Page {
     for (const layer of this.layers.links) url.searchParams.append("overlay", layer);
     writeComparison(url.searchParams, this.compare.link);
     writeSecondLight(url.searchParams, this.appearance.link);
-    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted }) + (this.story && `&story=${this.story}`);
+    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted });
     return url;
   }
 
@@ -222,9 +212,7 @@ export class Page {
     clearTimeout(this.addressTimer);
     this.addressTimer = window.setTimeout(() => {
       if (!this.viewer.scene) return;
-      const url = this.url();
-      history.replaceState(null, "", url);
-      element<HTMLAnchorElement>("globe").href = `./cesium.html${url.search}${url.hash}`;
+      history.replaceState(null, "", this.url());
     }, ms);
   }
 
@@ -249,23 +237,7 @@ export class Page {
     const module = await later(import("./embeddialog"));
     if (!module) return;
     this.embeds ??= new module.EmbedDialog(this.viewer);
-    this.embeds.open(this.story);
-  }
-
-  // Tours and notes, with the first of them: of the link, of this browser, or when somebody opens their list.
-  private async openStories(run: (stories: StoryBox) => void = () => {}) {
-    const host = {
-      changed: (link: string) => {
-        this.story = link;
-        this.address(0); // a page that is loaded again has what was kept
-      },
-      placing: (on: boolean) => (this.measure.asleep = on),
-      clear: () => this.clear(),
-    };
-    this.stories ??= import("./storybox").then(({ StoryBox }) => new StoryBox(this.viewer, host, this.story || null));
-    const stories = await later(this.stories);
-    if (stories) run(stories);
-    else this.stories = null; // asked for again the next time
+    this.embeds.open();
   }
 
   // ---- controls ----
@@ -282,14 +254,11 @@ export class Page {
     this.nameWalk("orbit");
     click("help-button", () => this.help());
     // What these show is the picture.
-    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "tour-play", "measure-button", "map-button"]) click(id, () => this.clear());
+    for (const id of ["photos-button", "appearance-here", "appearance-split", "server-button", "measure-button"]) click(id, () => this.clear());
     for (const id of ["appearance-from", "appearance-to"]) element(id).addEventListener("change", () => this.clear());
     click("share", () => void this.share());
     click("embed-button", () => void this.embed());
     click("shot-button", () => void this.shot());
-    element("tour-box").addEventListener("toggle", () => void this.openStories());
-    click("tour-add", () => void this.openStories((stories) => stories.addView()));
-    click("note-add", () => void this.openStories((stories) => stories.beginNote()));
     element("full").hidden = !document.fullscreenEnabled;
     click("full", () => void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()));
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
@@ -427,11 +396,6 @@ export class Page {
       KeyX: () => (this.compare.open ? this.compare.swap() : toast(text("compare.closed"))),
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
-      KeyO: () => {
-        this.clear();
-        this.inset.toggle();
-      },
-      KeyT: () => void this.openStories((stories) => stories.toggle()),
       Escape: () => {
         if (this.measure.open) this.measure.show(false);
         else if (viewer.stage.walk !== "orbit") this.leaveWalk();
@@ -449,8 +413,6 @@ export class Page {
       if (!view) return;
       viewer.lookAt(view.pose);
       void viewer.setAppearance(view.appearance);
-      const story = storyOf(location.hash);
-      if (story && story !== this.story) void this.openStories((stories) => void stories.open(story));
     });
   }
 }

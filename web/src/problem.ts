@@ -16,7 +16,6 @@ export type ProblemKind =
   | "noVideo" // the server's pictures come one by one
   | "badView"
   | "badBasemap"
-  | "badTour"
   | "noAppearance" // the default light is shown
   | "nothingHere" // beside the page
   | "http" // an answer of the server: requestId says which

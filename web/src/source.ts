@@ -355,16 +355,3 @@ export async function findMapTiles(link: Link, entry: SceneEntry): Promise<MapTi
   const folder = new URL("../map/", entry.pictures).href; // of the same revision
   return { tiles: `${folder}{z}/{x}/{y}.webp`, maxZoom, bounds: bounds as MapTiles["bounds"] };
 }
-
-// The operator's basemap, where there is one.
-/** @internal */
-export async function findBasemap(link: Link, entry: SceneEntry): Promise<Basemap | null> {
-  if (!entry.catalogue) return null;
-  const { basemap } = (await link.json(new URL("collections", entry.catalogue))) as {
-    basemap?: Partial<Record<keyof Basemap, unknown>>;
-  };
-  const tiles = basemap?.tiles;
-  if (typeof tiles !== "string" || !/^(https?:\/\/|\/)/.test(tiles)) return null;
-  const url = tiles.startsWith("/") ? entry.catalogue.origin + tiles : tiles;
-  return { tiles: url, attribution: String(basemap?.attribution ?? "") };
-}

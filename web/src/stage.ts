@@ -64,7 +64,7 @@ export function isForScene(event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (!(target instanceof Element)) return true;
   const presses = ["Space", "Enter"].includes(event.code) && target.closest("button, a, summary");
-  return !presses && target.closest("input, select, textarea, dialog[open], .leaflet-container") === null;
+  return !presses && target.closest("input, select, textarea, dialog[open]") === null;
 }
 
 // Of several in one page, keys and gamepad move the one that was touched or focused last.

@@ -28,7 +28,6 @@ import type { ShotOptions } from "./shot";
 import {
   askPlace,
   creditOf,
-  findBasemap,
   findMapTiles,
   isTileAddress,
   listAppearances,
@@ -517,11 +516,6 @@ export class Viewer {
   // Map tiles of the scene, seen from straight above; null where the server has none.
   async mapTiles(): Promise<MapTiles | null> {
     return this.scene ? findMapTiles(this.link, this.scene).catch(() => null) : null;
-  }
-
-  // Map tiles of somebody else, where the operator of the server chose some.
-  async basemap(): Promise<Basemap | null> {
-    return this.scene ? findBasemap(this.link, this.scene).catch(() => null) : null;
   }
 
   // Bytes of the server; waits while it is away.

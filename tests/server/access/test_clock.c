@@ -74,7 +74,6 @@ static void test_stopping(void **state)
     struct err e = {0};
     struct jobs *js = NULL;
     struct job_waiter w = {.wake = clock_wake};
-    (void)state;
     atomic_store(&hangs, true);
     kit_ok(job_open(&cfg, &js, &e), e);
     assert_int_equal(job_submit(js, JOB_VIEW, (struct hash128){1, 2}, mem_text("work"), 1, 5, &w),
@@ -96,7 +95,6 @@ static void test_log(void **state)
     struct err e = {0};
     int pipe_fd[2], err_fd = dup(STDERR_FILENO);
     char bytes[65536];
-    (void)state;
     assert_int_equal(pipe(pipe_fd), 0);
     assert_true(fcntl(pipe_fd[0], F_SETFL, O_NONBLOCK) >= 0);
     kit_ok(log_start(&e), e);
@@ -132,7 +130,6 @@ static void test_serving(void **state)
     char target[128];
     struct buf rest = {0}, q = {0};
     struct reply r;
-    (void)state;
     t.cfg.header_timeout_s = 1.5;
     t.cfg.idle_timeout_s = 60;
     start();
@@ -171,7 +168,6 @@ static void test_dates(void **state)
     struct auth *a = NULL;
     struct err e = {0};
     struct reply r;
-    (void)state;
     kit_ok(file_join(path, t.dir, "auth.jsonc", &e), e);
     kit_ok(file_write(path, text, sizeof text - 1, &e), e);
     assert_int_equal(chmod(path, 0600), 0);

@@ -116,7 +116,6 @@ static int setup_gap(void **state)
 
 static void test_tile_is_cropped(void **state)
 {
-    (void)state;
     const size_t n = expected(TRIANGLE, served_key(17));
     assert_true(n > 5 && n < 45); /* of 50 */
     struct response r = get_clipped("/d/toy/r/REV+/t/KEY17.ply", "", TRIANGLE);
@@ -150,7 +149,6 @@ static void test_tile_is_cropped(void **state)
 static void test_spellings(void **state)
 {
     char clip[200], target[800], comma[600] = "";
-    (void)state;
     struct response first = get_clipped("/d/toy/r/REV/t/KEY17.drc", "", TRIANGLE);
     assert_int_equal(first.status, 200);
     for (int i = 0; i < 8; i++) {
@@ -173,7 +171,6 @@ static void test_spellings(void **state)
 /* What lies wholly within is the tile itself: the same bytes, tag and place in the cache. */
 static void test_inside_and_outside(void **state)
 {
-    (void)state;
     struct response whole = get("/d/toy/r/REV/t/KEY16.spz");
     struct response all = get_clipped("/d/toy/r/REV/t/KEY16.spz", "", ALL);
     expect("ETag", all.etag, whole.etag);
@@ -244,7 +241,6 @@ static struct listed list_of(const char *path, const char *base, int shape, cons
 static void test_tileset(void **state)
 {
     struct key sibling = served_key(17);
-    (void)state;
     sibling.x ^= 1;
     assert_true(expected(TRIANGLE, served_key(15)) == 0 && expected(TRIANGLE, sibling) == 0);
     unsigned want = 0;
@@ -268,7 +264,6 @@ static void test_seed(void **state)
 {
     char *rest = NULL;
     size_t lines = 0;
-    (void)state;
     struct response r = get_clipped("/d/toy/seed.ndjson", "f=ply&", TRIANGLE);
     assert_int_equal(r.status, 200);
     char *text = mem_array(r.size + 1, 1);
@@ -325,7 +320,6 @@ static void test_bad_polygons(void **state)
         {"/d/toy/tileset.json?clip=0,0,1,1,1,0,0,1", 422},
         {"/d/toy/seed.ndjson?clip=0,0,1,1,1,0,0,1", 422},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = get(rows[i].target);
         if (r.status != rows[i].status)
@@ -343,7 +337,6 @@ static void test_many_corners(void **state)
                              *other = &b.of_tileset_moving.tiles.clip;
     struct router *routes = NULL;
     char text[1400], clip[TARGET_CLIP_TEXT];
-    (void)state;
     struct err none = {0};
     kit_ok(router_open(ROUTES, ROUTES_COUNT, &routes, &none), none);
     for (int n = 38; n <= 41; n++) {
@@ -380,7 +373,6 @@ static void test_boxes(void **state)
     struct clip c;
     struct err e = {0};
     size_t n[3] = {0};
-    (void)state;
     kit_ok(clip_of_ring(ring, 5, &c, &e), e);
     for (uint64_t i = 0; i < 3000; i++) {
         double low[3], high[3];

@@ -393,7 +393,6 @@ static void test_matrix(void **state)
 {
     char web[FILE_PATH_MAX], path[FILE_PATH_MAX], script[3000];
     struct err e = {0};
-    (void)state;
     memset(script, ';', sizeof script);
     kit_ok(file_join(web, t.dir, "web/assets", &e), e);
     kit_ok(file_mkdir(web, &e), e);
@@ -451,7 +450,6 @@ static void test_methods(void **state)
                                          "Accept-Encoding: gzip\r\n"};
     char target[160];
     struct reply r;
-    (void)state;
     start();
     line.fd = dial(t.port);
     for (size_t i = 3; i < matrix_addresses(); i++) /* the first three are the viewer's */
@@ -493,7 +491,6 @@ static void test_evicted(void **state)
     struct hash128 first[FORMS] = {{0, 0}};
     char target[128], full[160];
     struct reply r;
-    (void)state;
     t.cfg.cache_mb = 1;
     t.cfg.client_tiles_s = 0;
     start();

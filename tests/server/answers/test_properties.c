@@ -47,7 +47,6 @@ static void test_conditions(void **state)
 {
     char tag[BODY_ETAG_SIZE], target[160];
     size_t met = 0;
-    (void)state;
     struct response first = get("/d/toy/r/REV+/t/KEY17.spz");
     assert_int_equal(first.status, 200);
     memcpy(tag, first.etag, sizeof tag);
@@ -96,7 +95,6 @@ static uint64_t draw_size(uint64_t k, uint64_t what, uint64_t size)
 static void test_ranges(void **state)
 {
     size_t parts = 0;
-    (void)state;
     struct response whole = get("/d/toy/r/REV+/t/KEY17.ply");
     const uint64_t size = whole.size;
     assert_true(size > 1000);
@@ -145,7 +143,6 @@ static void test_parts(void **state)
 {
     static const char *const targets[] = {"/d/toy/r/REV+/t/KEY15.drc", "/d/toy/r/REV+/t/KEY16.glb",
                                           "/d/toy/r/REV+/t/KEY17.sog"};
-    (void)state;
     for (uint64_t k = 0; k < CUTS; k++) {
         const char *target = targets[k % 3];
         struct response whole = get(target);
@@ -203,7 +200,6 @@ static void test_tags(void **state)
                                             "/d/toy/seed.ndjson?f=spz",
                                             "/d/toy/seed.ndjson?f=glb"};
     size_t n = 0;
-    (void)state;
     for (int z = 15; z <= 17; z++)
         for (size_t i = 0; i < sizeof exts / sizeof *exts; i++)
             for (size_t p = 0; p < sizeof presets / sizeof *presets; p++)
@@ -241,7 +237,6 @@ static void test_spellings(void **state)
     static const char *const own[] = {"preset=preview", "sh=0"};
     static const char *const others[] = {"v=1", "utm_source=a%20b", "x", "cache=bust&cache=2"};
     char tag[64] = "";
-    (void)state;
     for (uint64_t k = 0; k < SPELLINGS; k++) {
         struct buf target = {0};
         buf_printf(&target, "/d/toy/r/REV+/t/KEY17.spz");

@@ -32,9 +32,6 @@ static void test_documents(void **state)
         {"/collections", "application/json", MOVING},
         {"/collections/toy", "application/json", MOVING},
         {"/collections/toy/tiles.json", "application/json", MOVING},
-        {"/collections/toy/map/tiles", "application/json", MOVING},
-        {"/collections/toy/map/tiles/WebMercatorQuad", "application/json", MOVING},
-        {"/tileMatrixSets/WebMercatorQuad", "application/json", MOVING},
         {"/d/toy/tileset.json", "application/json", MOVING},
         {"/d/toy/r/REV+/tileset.json", "application/json", IMMUTABLE},
         {"/d/toy/r/REV/tileset.json", "application/json", MOVING},
@@ -42,7 +39,6 @@ static void test_documents(void **state)
         {"/readyz", "application/json", "no-store"},
         {"/version", "application/json", "no-store"},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = get(rows[i].target);
         assert_int_equal(r.status, 200);
@@ -71,7 +67,6 @@ static void test_documents(void **state)
 
 static void test_version(void **state)
 {
-    (void)state;
     struct response r = get("/version");
     assert_int_equal(r.status, 200);
     json_t *o = json_of(&r), *datasets = json_object_get(o, "datasets");
@@ -88,7 +83,6 @@ static void test_version(void **state)
 static void test_documents_without_memory(void **state)
 {
     static const char *const targets[] = {"/version", "/metrics"};
-    (void)state;
     for (size_t i = 0; i < 2; i++) {
         size_t refused = 0;
         for (size_t k = 1; k < 12; k++) {
@@ -133,7 +127,6 @@ static void test_collections_in_a_box(void **state)
         {"?bbox=13,52,14,91", -1},
         {"?bbox=13,52,14,53&bbox=13,52,14,53", -1},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char target[128];
         snprintf(target, sizeof target, "/collections%s", rows[i].query);
@@ -152,7 +145,6 @@ static void test_links_lead_somewhere(void **state)
 {
     static const char *const docs[][2] = {
         {"/", "/"}, {"/collections", "/"}, {"/collections/toy", "/collections/"}};
-    (void)state;
     for (size_t i = 0; i < 3; i++) {
         struct response r = get(docs[i][0]);
         json_t *o = json_of(&r), *links = json_object_get(o, "links"), *link;
@@ -216,7 +208,6 @@ static void test_origins(void **state)
         {{.host = ""}, NULL, NULL, ""},
         {{.host = NULL}, NULL, NULL, ""},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct server_config cfg = {.public_url = rows[i].public_url,
                                     .base_path = rows[i].base_path};
@@ -230,7 +221,6 @@ static void test_origins(void **state)
 static void test_tileset_uris(void **state)
 {
     char want[128];
-    (void)state;
     struct response fixed = get("/d/toy/r/REV/tileset.json"), moving = get("/d/toy/tileset.json");
     struct response tilejson = get("/collections/toy/tiles.json");
     assert_true(says(&fixed, expand("\"t/KEY15.glb\"", want, sizeof want)));
@@ -247,7 +237,6 @@ static void test_a_page_says_how_to_use_a_dataset(void **state)
 {
     char want[200];
     const struct key k = served_key(SERVED_ZOOM_MAX);
-    (void)state;
     struct response r = get("/d/toy/use");
     assert_int_equal(r.status, 200);
     snprintf(want, sizeof want, "/d/toy/t/%u/", k.z);
@@ -261,7 +250,6 @@ static void test_the_module_has_an_address_for_ever(void **state)
 {
     char path[40];
     const struct static_file *f = static_find(&t.s.web, "/viewer.js", strlen("/viewer.js"));
-    (void)state;
     assert_non_null(f);
     struct response r = get("/viewer.js");
     snprintf(path, sizeof path, "/viewer-%s.js", f->digest);
@@ -303,7 +291,6 @@ static void test_refusals(void **state)
         {METHOD_OTHER, "/d/toy/r/REV/t/KEY17.glb", 405, "GET, HEAD, OPTIONS", "no-store"},
         {METHOD_OTHER, "/nothing", 404, NULL, "public, max-age=60"},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r =
             answer(&(struct ask){.method = rows[i].method, .target = rows[i].target});
@@ -355,7 +342,6 @@ static void test_instances(void **state)
         {"/%22%0a", NULL},
     };
     char want[256];
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = get(rows[i].target);
         json_t *o = json_of(&r);
@@ -393,7 +379,6 @@ static void test_last_modified(void **state)
                                       "Sun, 06 Nxv 1994 08:49:37 GMT",
                                       "Sun, 06 Nov 1994 08:49:37 CET"};
     char date[CONDITION_DATE];
-    (void)state;
     for (size_t i = 0; i < sizeof dates / sizeof *dates; i++) {
         condition_date(dates[i].at_s, date);
         assert_string_equal(date, dates[i].text);
@@ -444,7 +429,6 @@ static void test_last_modified(void **state)
 static void test_redirects(void **state)
 {
     char want[256];
-    (void)state;
     struct response r = get("/d/toy/t/KEY17.glb");
     assert_int_equal(r.status, 307);
     expect("Location", r.location, expand("../../../r/REV+/t/KEY17.glb", want, sizeof want));
@@ -460,7 +444,6 @@ static void test_redirects(void **state)
 static void test_viewer_files(void **state)
 {
     static const char script[] = "/assets/index-D3adBeef.js";
-    (void)state;
     struct response r = answer(&(struct ask){.target = "/", .accept = "text/html,*/*;q=0.8"});
     expect("type", r.type, "text/html; charset=utf-8");
     assert_non_null(r.vary);
@@ -517,7 +500,6 @@ static void test_coded_of_other_bytes(void **state)
         size_t size, got;
     } rows[] = {{0, 40, 40}, {-9, 40, 40}, {9, 40, 0}, {0, 2000, 0}, {0, 0, 0}};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], coded[FILE_PATH_MAX], text[2000];
-    (void)state;
     memset(text, ' ', sizeof text);
     kit_tmpdir(dir);
     for (size_t i = 0; i < 2 * (sizeof rows / sizeof *rows); i++) {
@@ -551,7 +533,6 @@ static void test_plain_of_coded(void **state)
     struct static_table table = {0}, before = t.s.web;
     struct err e = {0};
     struct buf text = {0};
-    (void)state;
     for (int i = 0; i < LINES; i++)
         buf_printf(&text, "draw(%d);\n", i);
     kit_tmpdir(dir);
@@ -614,7 +595,6 @@ static void test_hints(void **state)
         {"/?scene=toy&url=x.json", 0, ""},
     };
     char want[200];
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = answer(&(struct ask){.target = rows[i].target, .accept = "text/html"});
         size_t n = 0;
@@ -651,7 +631,6 @@ static void test_outline(void **state)
     enum { N = 400 };
     const double c = cos(0.6108652), s = sin(0.6108652); /* 35 degrees */
     double points[N][2], out[HOME_OUTLINE_NUMBERS], far[2] = {0, 0};
-    (void)state;
     for (int i = 0; i < N; i++) {
         const double u = 300 * (i % 20) / 19.0, v = 100 * (i / 20) / 19.0;
         points[i][0] = 50 + c * u - s * v;
@@ -683,7 +662,6 @@ static void test_card(void **state)
     struct dataset *d = t.s.catalog->ds[0];
     char kept[sizeof d->meta.attribution];
     struct err e = {0};
-    (void)state;
     memcpy(kept, d->meta.attribution, sizeof kept);
     snprintf(d->meta.attribution, sizeof d->meta.attribution, "%s",
              "\"><script>alert(1)</script>&'");
@@ -739,47 +717,6 @@ static void test_card(void **state)
     auth_close(&t.s.auth);
 }
 
-static void test_basemap(void **state)
-{
-    static const struct {
-        const char *url;
-        bool fits;
-    } rows[] = {{"https://maps.example/{z}/{x}/{y}.png", true},
-                {"/base/{z}/{x}/{y}", true},
-                {"maps.example/{z}/{x}/{y}", false},
-                {"https://maps.example/{z}/{x}", false},
-                {"javascript:{z}{x}{y}", false},
-                {"", true}};
-    (void)state;
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
-        struct server_config cfg = t.cfg;
-        struct services s = {0};
-        struct catalog *c = NULL;
-        struct err e = {0};
-        const char *paths[] = {t.path};
-        struct catalog_options o = served_stores;
-        cfg.basemap = o.basemap = rows[i].url;
-        o.basemap_attribution = "Example";
-        enum err_code rc = services_open(&s, &cfg, NULL, ROUTES, ROUTES_COUNT, &e);
-        if (rc != (rows[i].fits ? ERR_OK : ERR_ARG))
-            fail_msg("--basemap %s: %s", rows[i].url, e.msg);
-        (void)services_free(&s);
-        if (rc)
-            continue;
-        c = served_catalog(paths, 1, &o, NULL);
-        json_t *doc = json_loadb((const char *)c->collections->data, c->collections->size, 0, NULL);
-        const json_t *basemap = json_object_get(doc, "basemap");
-        assert_int_equal(basemap != NULL, *rows[i].url != 0);
-        if (basemap) {
-            assert_string_equal(json_string_value(json_object_get(basemap, "tiles")), rows[i].url);
-            assert_string_equal(json_string_value(json_object_get(basemap, "attribution")),
-                                "Example");
-        }
-        json_decref(doc);
-        catalog_drop(&c);
-    }
-}
-
 static void test_job_ends(void **state)
 {
     static const struct {
@@ -793,7 +730,6 @@ static void test_job_ends(void **state)
         {JOB_SHED, ERR_BUSY, 503, true},        {JOB_TIMEOUT, ERR_BUSY, 504, true},
         {JOB_CANCELLED, ERR_CANCEL, 503, true},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct request q = {.target = "/", .target_size = 1};
         struct response r = {
@@ -816,7 +752,6 @@ static void test_words_of_failures(void **state)
                 {"/d/toy/seed.ndjson", "the list of tiles could"},
                 {"/collections/toy/tiles.json", "the TileJSON could"},
                 {"/d/toy/tileset.json?sh=0", "the tileset could not"}};
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct request q = {.target = expand(rows[i].target, last_target, sizeof last_target)};
         q.target_size = strlen(q.target);
@@ -835,7 +770,6 @@ static void test_words_of_failures(void **state)
 
 static void test_metrics_are_local(void **state)
 {
-    (void)state;
     struct response r = get("/metrics");
     assert_int_equal(r.status, 200);
     assert_true(says(&r, "citysplat_dataset_info{ds=\"toy\""));
@@ -901,7 +835,6 @@ int main(void)
         cmocka_unit_test(test_hints),
         cmocka_unit_test(test_card),
         cmocka_unit_test(test_outline),
-        cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_metrics_are_local),
         cmocka_unit_test(test_origins),

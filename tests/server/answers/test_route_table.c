@@ -54,7 +54,6 @@ static void test_one_row_and_one_function(void **state)
     struct services s;
     struct buf metrics = {0};
     struct route *rows = mem_array(ROUTES_COUNT + 1, sizeof *rows);
-    (void)state;
     memcpy(rows, ROUTES, ROUTES_COUNT * sizeof *rows);
     rows[ROUTES_COUNT] = squares;
     kit_ok(services_open(&s, &t.cfg, NULL, rows, ROUTES_COUNT + 1, &e), e);
@@ -204,7 +203,6 @@ static void test_one_kind_of_work(void **state)
     struct err e = {0};
     struct services s;
     struct route *rows = mem_array(ROUTES_COUNT + 1, sizeof *rows);
-    (void)state;
     memcpy(rows, ROUTES, ROUTES_COUNT * sizeof *rows);
     rows[ROUTES_COUNT] = squares;
     rows[ROUTES_COUNT].path = "/d/{ds}/cube/{row}";
@@ -252,7 +250,6 @@ static void test_one_kind_of_work(void **state)
 static void test_rows_that_cannot_be(void **state)
 {
     static const char *const paths[] = {"/d/{ds}/{nobody}", "/d/{ds}[/{x}", "/d/{ds}]"};
-    (void)state;
     for (size_t i = 0; i < sizeof paths / sizeof *paths; i++) {
         struct err e = {0};
         struct route row = squares;
@@ -275,7 +272,6 @@ static void test_api_lists_the_routes(void **state)
     struct response r = get("/api");
     json_t *o = json_of(&r), *paths = json_object_get(o, "paths"), *methods, *operation;
     const char *path, *verb;
-    (void)state;
     assert_int_equal(json_object_size(paths), ROUTES_COUNT - 1); /* without files */
     json_object_foreach(paths, path, methods)
     {
@@ -309,7 +305,6 @@ static void test_the_page_says_what_the_description_says(void **state)
     const char *path, *verb;
     char want[300];
     size_t n = 0;
-    (void)state;
     expect("type", page.type, "text/html; charset=utf-8");
     expect("Cache-Control", page.cache_control, MOVING);
     json_object_foreach(json_object_get(o, "paths"), path, methods)
@@ -342,7 +337,6 @@ static void test_api_knows_no_appearance(void **state)
     json_t *o = json_of(&r), *methods;
     const char *path;
     int with = 0, without = 0;
-    (void)state;
     json_object_foreach(json_object_get(o, "paths"), path, methods)
     {
         const json_t *list = json_object_get(json_object_get(methods, "get"), "parameters");

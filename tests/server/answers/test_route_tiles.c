@@ -21,7 +21,6 @@ static void test_tiles(void **state)
         {"compressed.ply", "application/octet-stream", "ply\n"},
         {"sog", "application/zip", "PK\3\4"},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char target[128];
         snprintf(target, sizeof target, "/d/toy/r/REV+/t/KEY17.%s", rows[i].ext);
@@ -72,7 +71,6 @@ static void test_ranges(void **state)
 {
     const char *target = "/d/toy/r/REV/t/KEY17.ply";
     struct response whole = get(target);
-    (void)state;
     assert_int_equal(whole.status, 200);
     struct buf sum = {0};
     size_t step = whole.size / 7 + 1;
@@ -110,7 +108,6 @@ static void test_seed(void **state)
     struct response r = get("/d/toy/seed.ndjson");
     size_t lines = 0, last_z = 0;
     char *text = mem_array(r.size + 1, 1), *rest = NULL;
-    (void)state;
     assert_int_equal(r.status, 200);
     expect("type", r.type, "application/x-ndjson");
     memcpy(text, r.data, r.size);
@@ -189,7 +186,6 @@ static size_t list_rows(const char *target, struct row *out, size_t room, char n
 static void test_seed_pages(void **state)
 {
     static const char *const queries[] = {"", "f=drc&preset=spz&sh=1&bbox=-1.5,50,14,53&"};
-    (void)state;
     for (size_t q = 0; q < sizeof queries / sizeof *queries; q++) {
         struct row all[8], page[8];
         char target[900], next[600];
@@ -245,7 +241,6 @@ static void test_links(void **state)
         {"/d/toy/r/REV+/t/KEY17.drc", ""},
         {"/d/toy/r/REV+/t/17/0/0.drc", ""},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char want[400];
         struct response r = get(rows[i].target);
@@ -293,7 +288,6 @@ static void test_presets(void **state)
         {"sog", "sog?preset=preview", true},
         {"sog", "sog?sh=0", false},
     };
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char target[128];
         snprintf(target, sizeof target, "/d/toy/r/REV/t/KEY17.%s", rows[i].a);
@@ -340,7 +334,6 @@ static void test_damaged_tile(void **state)
     struct err e = {0};
     char path[FILE_PATH_MAX];
     struct catalog *damaged = NULL, *sound = t.s.catalog;
-    (void)state;
     kit_ok(file_join(path, t.dir, "damaged.tiles", &e), e);
     served_city(path, "damaged", 20);
     store_fixture_damage(path, served_key(17), path);
@@ -381,7 +374,6 @@ static void test_damaged_tile(void **state)
 static void test_no_memory_for_a_tile(void **state)
 {
     const sqlite3_int64 before = sqlite3_hard_heap_limit64(-1);
-    (void)state;
     (void)sqlite3_hard_heap_limit64(sqlite3_memory_used() + 512);
     struct response r = get("/d/toy/r/REV+/t/KEY16.ply?sh=0");
     (void)sqlite3_hard_heap_limit64(before);

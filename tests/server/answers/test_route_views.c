@@ -16,7 +16,6 @@ static void test_views(void **state)
 {
     const char *target = "/d/toy/r/REV/static/13.4,52.5,120@0,-90/64x48.jpg";
     struct err e = {0};
-    (void)state;
     struct response r = get(target);
     assert_int_equal(r.status, 503); /* --device none */
     assert_true(says(&r, "--device none"));
@@ -111,7 +110,6 @@ static void test_what_is_in_the_tag(void **state)
     };
 #undef AT
     struct err e = {0};
-    (void)state;
     kit_ok(picture_open(&t.cfg, &t.s.plan, &t.s.picture, &e), e);
     for (size_t i = 0; i < sizeof equal / sizeof *equal; i++) {
         struct response a = get(equal[i].a), b = get(equal[i].b);
@@ -168,7 +166,6 @@ static void test_pictures_of_before(void **state)
         uint32_t numbers[9];
     } name;
     char was[9], is[9];
-    (void)state;
     memset(&name, 0, sizeof name);
     name.salt = d->salt;
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
@@ -193,7 +190,6 @@ static void test_configuration_and_tags(void **state)
     char target[256], device[9], tiles[9], edition[9];
     const char *paths[] = {t.path};
     const struct key k = served_key(17);
-    (void)state;
     other.view_gaussians = 1000;
     stores.preset = other.preset = QUANT_PREVIEW;
     others = served_catalog(paths, 1, &stores, NULL);
@@ -229,7 +225,6 @@ static void test_pictures_while_the_device_starts(void **state)
 {
     struct err e = {0};
     char target[256], edition[9];
-    (void)state;
     kit_ok(picture_open(t.s.cfg, &t.s.plan, &t.s.picture, &e), e);
     response_edition(&t.s, t.s.catalog->ds[0], EDITION_PICTURES, edition);
     assert_string_equal(edition, "");
@@ -250,7 +245,6 @@ static void test_pictures_while_the_device_starts(void **state)
 
 static void test_foreign_bytes_in_a_redirect(void **state)
 {
-    (void)state;
     struct response r = get("/d/toy/t/17/1/1.glb?x=%0d%0a"); /* encoded bytes stay encoded */
     assert_int_equal(r.status, 307);
     assert_null(strpbrk(r.location, "\r\n"));
@@ -338,7 +332,6 @@ static void test_posted_cameras(void **state)
          422},
     };
     struct err e = {0};
-    (void)state;
     kit_ok(picture_open(&t.cfg, &t.s.plan, &t.s.picture, &e), e);
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = answer(

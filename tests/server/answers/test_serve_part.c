@@ -226,7 +226,6 @@ static void tiles_hold_the_part(void **state)
     struct reply r;
     char target[256];
     size_t n_tiles = 0, n = 0;
-    (void)state;
     assert_string_equal(p.revision, want.revision);
     ask("GET", "/d/survey/seed.ndjson?f=ply", "", &r);
     assert_int_equal(r.status, 200);
@@ -258,7 +257,6 @@ static void documents_end_there(void **state)
                json_object_get(json_object_get(json_object_get(o, "extent"), "spatial"), "bbox"),
                0);
     struct err e = {0};
-    (void)state;
     size_t up = json_array_size(box) == 6 ? 3 : 2;
     assert_true(json_array_size(box) >= 4);
     for (size_t k = 0; k < 2; k++) {
@@ -322,7 +320,6 @@ static void maps_end_there(void **state)
 {
     struct key middle = key_at(origin.lon_deg, origin.lat_deg, 19); /* 49 m */
     size_t count[2] = {0}, off = 0;
-    (void)state;
     json_t *o = document("/d/survey/terrain.json");
     double void_m = json_number_value(json_object_get(o, "voidHeight"));
     json_decref(o);
@@ -338,7 +335,6 @@ static void maps_end_there(void **state)
 /* 13 m of ground from straight above, on either side of the border and 15 m away from it. */
 static void views_end_there(void **state)
 {
-    (void)state;
     for (int which = 0; which < 2; which++) {
         struct image img;
         char target[256];
@@ -373,7 +369,6 @@ static void answers_end_there(void **state)
 {
     const double *in = place_in[SOUTH_WEST], *out = place_in[NORTH_EAST];
     char body[512];
-    (void)state;
     snprintf(body, sizeof body, "{\"places\": [[%.7f, %.7f], [%.7f, %.7f]]}", in[0], in[1], out[0],
              out[1]);
     json_t *o = answer("height", body), *places = json_object_get(o, "places");
@@ -414,7 +409,6 @@ static void a_restart_changes_nothing(void **state)
 {
     char tile[256], map[256], tags[2][2][64], revision[13];
     struct key k = key_at(place_in[SOUTH_WEST][0], place_in[SOUTH_WEST][1], 18);
-    (void)state;
     picture_target(p.map, k, "webp", map);
     json_t *o = document("/collections/survey/tiles.json");
     const char *url = json_string_value(json_array_get(json_object_get(o, "tiles"), 0));
@@ -449,7 +443,6 @@ static int part_setup(void **state)
 {
     struct err e = {0};
     struct dev dev;
-    (void)state;
     log_set_level(LOG_ERROR);
     survey_make(NULL);
     if (!getenv("CITYSPLAT_BIN"))
@@ -473,7 +466,6 @@ static int part_teardown(void **state)
 
 static int needs_program(void **state)
 {
-    (void)state;
     if (!p.pid)
         skip();
     return 0;

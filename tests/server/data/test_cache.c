@@ -49,7 +49,6 @@ static void test_finds_what_was_put(void **state)
     struct err e = {0};
     struct cache *c = NULL;
     struct cache_stats st;
-    (void)state;
     kit_ok(cache_open((size_t)64 << 20, &c, &e), e);
     for (uint64_t i = 0; i < 5000; i++) /* more than the first tables hold */
         put(c, i, 1 + i % 100);
@@ -81,7 +80,6 @@ static void test_stays_within_its_bytes(void **state)
     struct cache *c = NULL;
     struct cache_stats st;
     const size_t limit = (size_t)1 << 20;
-    (void)state;
     kit_ok(cache_open(limit, &c, &e), e);
     for (uint64_t i = 0; i < 3000; i++) {
         put(c, i, 1 + (i * 7919) % 5000);
@@ -100,7 +98,6 @@ static void test_keeps_what_is_used(void **state)
 {
     struct err e = {0};
     struct cache *c = NULL;
-    (void)state;
     kit_ok(cache_open((size_t)4 << 20, &c, &e),
            e); /* 256 KiB a shard: about 200 entries of 1 KiB */
     for (uint64_t i = 0; i < 800; i++)
@@ -120,7 +117,6 @@ static void test_evicted_bodies_live_while_held(void **state)
 {
     struct err e = {0};
     struct cache *c = NULL;
-    (void)state;
     kit_ok(cache_open((size_t)1 << 20, &c, &e), e);
     put(c, 1, 1000);
     struct body *held = cache_get(c, key_of(1), NULL);
@@ -155,7 +151,6 @@ static void test_many_threads(void **state)
     struct err e = {0};
     struct cache *c = NULL;
     struct cache_stats st;
-    (void)state;
     kit_ok(cache_open((size_t)96 << 10, &c, &e),
            e); /* room for a third of them: constant eviction */
     kit_ok(pool_for(8, 8, hammer, c, &e), e);
@@ -168,7 +163,6 @@ static void test_many_threads(void **state)
 static void test_etag(void **state)
 {
     char a[BODY_ETAG_SIZE], b[BODY_ETAG_SIZE];
-    (void)state;
     body_etag((struct hash128){0}, a);
     assert_string_equal(a, "\"AAAAAAAAAAAAAAAAAAAAAA\"");
     body_etag((struct hash128){.lo = 1}, a);
@@ -186,7 +180,6 @@ static void test_etag(void **state)
 
 static void test_gzip_only_when_it_pays(void **state)
 {
-    (void)state;
     struct body *text = body_of('x', 10000);
     body_compress(text);
     assert_non_null(text->gzip);
@@ -207,7 +200,6 @@ static void test_large_bodies_in_files(void **state)
     enum { LARGE = 200000, AT = 1234, PART = 100 };
     uint8_t part[PART];
     uint64_t at = 0;
-    (void)state;
     body_file_limit(1);
     for (int again = 0; again < 2; again++) { /* one that is gone makes room */
         struct body *first = body_of(1, LARGE), *second = body_of(2, LARGE), *small = body_of(3, 9);
@@ -241,7 +233,6 @@ static void test_large_bodies_in_files(void **state)
 
 static void test_memory_failures(void **state)
 {
-    (void)state;
     for (size_t k = 1; k < 40; k++) {
         struct err e = {0};
         struct cache *c = NULL;

@@ -126,7 +126,6 @@ static void test_round_trip(void **state)
     struct disk *d, *other = NULL;
     struct stat st;
     uint64_t bytes;
-    (void)state;
     d = open_folder("round", 64 * MB);
     for (uint64_t k = 0; k < 50; k++) {
         assert_false(got(d, k, k * 97));
@@ -165,7 +164,6 @@ static void test_bounded(void **state)
     enum { N = 60, BYTES = 60000, LIMIT = 16 * 65536 /* of each a sixteenth */ };
     struct disk *d = open_folder("bounded", LIMIT);
     uint64_t bytes;
-    (void)state;
     for (uint64_t k = 0; k < N; k++) {
         put(d, k, BYTES);
         assert_true(count(d).bytes <= LIMIT);
@@ -207,7 +205,6 @@ static void test_scan(void **state)
 {
     enum { WARM = 600, SCAN = 4000, EACH = 16000 };
     struct disk *d = open_folder("scan", 16 * MB);
-    (void)state;
     for (uint64_t k = 0; k < WARM; k++)
         put(d, k, EACH);
     for (uint64_t k = 0; k < WARM; k++) {
@@ -237,7 +234,6 @@ static void test_apart(void **state)
     struct disk *d = open_folder("apart", 16 * MB);
     struct buf b = {0};
     size_t kept = 0;
-    (void)state;
     for (uint64_t k = 0; k < OWN; k++)
         put(d, k, EACH);
     disk_bytes(7, EACH, &b);
@@ -261,7 +257,6 @@ static void test_damage(void **state)
     struct disk *d = open_folder("damage", 64 * MB);
     struct buf good = {0}, bad = {0};
     struct err e = {0};
-    (void)state;
     log_set_level(LOG_ERROR);
     put(d, 1, SIZE);
     path_of(1, path);
@@ -316,7 +311,6 @@ static void test_full_disk(void **state)
 {
     struct disk *d = open_folder("full", 64 * MB);
     uint64_t bytes;
-    (void)state;
     put(d, 1, SIZE);
     for (long room = 0; room < 64 + SIZE; room += 7) {
         atomic_store(&write_room, room);
@@ -356,7 +350,6 @@ static void write_for_ever(uint64_t first, const int began[2])
 static void test_killed(void **state)
 {
     size_t found = 0;
-    (void)state;
     for (unsigned i = 0; i < KILLS; i++) {
         int began[2]; /* closed by its first file: on a busy machine it may take long to begin */
         char none;
@@ -401,7 +394,6 @@ static void test_threads(void **state)
     struct disk *d = open_folder("threads", 16 * 65536);
     struct err e = {0};
     uint64_t bytes;
-    (void)state;
     kit_ok(pool_for(4, 4, disk_thread, d, &e), e);
     assert_int_equal(count(d).failed + count(d).damaged, 0);
     assert_int_equal(files(&bytes), count(d).entries);
@@ -438,7 +430,6 @@ static void test_server(void **state)
     struct err e = {0};
     struct reply r;
     uint64_t bytes;
-    (void)state;
     kit_ok(file_join(folder, t.dir, "server/cache", &e), e);
     t.cfg.cache_dir = folder;
     start();

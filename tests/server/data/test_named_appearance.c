@@ -77,7 +77,6 @@ static void test_a_name_is_kept_over_restarts_and_reloads(void **state)
 {
     struct err e = {0};
     struct reply r;
-    (void)state;
     start();
     assert_int_equal(status_of("GET", PATH, ""), 404);
     assert_int_equal(change("DELETE", PATH, "", NULL), 404);
@@ -101,7 +100,6 @@ static void test_names_change_are_copied_and_forgotten(void **state)
 {
     struct reply r;
     char tag[64];
-    (void)state;
     start();
     assert_int_equal(change("PUT", PATH, "", BLEND), 201);
     ask("GET", PATH, "", &r);
@@ -148,7 +146,6 @@ static void test_conditions(void **state)
     };
     struct reply r;
     char extra[128], own[64];
-    (void)state;
     for (size_t i = 0; i < sizeof row / sizeof *row; i++) {
         assert_int_equal(condition_may_write(row[i].match, row[i].none, tag), row[i].there);
         assert_int_equal(condition_may_write(row[i].match, row[i].none, NULL), row[i].absent);
@@ -183,7 +180,6 @@ static void test_a_name_is_what_it_stands_for_and_never_immutable(void **state)
 {
     struct reply by_name, by_text, r;
     char target[256], plain[128];
-    (void)state;
     start();
     assert_int_equal(change("PUT", PATH, "", BLEND), 201);
     tile_target(17, "ply", plain);
@@ -262,7 +258,6 @@ static size_t listed(const char *name, char tag[64])
 static void test_names_are_listed(void **state)
 {
     char tag[64], before[64];
-    (void)state;
     start();
     assert_int_equal(listed("evening", before), 0);
     assert_int_equal(change("PUT", PATH, "", BLEND), 201);
@@ -279,7 +274,6 @@ static void test_names_outlive_the_network_or_say_that_they_do_not(void **state)
     struct err e = {0};
     struct reply r;
     char target[128];
-    (void)state;
     start();
     assert_int_equal(change("PUT", PATH, "", BLEND), 201);
     assert_int_equal(
@@ -338,7 +332,6 @@ static void test_what_is_refused(void **state)
         {"/d/city/appearances/x", BLEND, 404},
     };
     struct buf big = {0};
-    (void)state;
     start();
     for (size_t i = 0; i < sizeof row / sizeof *row; i++)
         if (change("PUT", row[i].target, "", row[i].body) != row[i].status)
@@ -382,7 +375,6 @@ static void test_who_may(void **state)
     struct buf text = {0};
     uint8_t digest[SHA256_DIGEST_SIZE];
     char path[FILE_PATH_MAX], line[128], query[AUTH_QUERY_MAX], target[800];
-    (void)state;
     start();
     assert_int_equal(change("PUT", PATH, "Origin: https://elsewhere.example\r\n", BLEND), 403);
     struct reply r;
@@ -470,7 +462,6 @@ static void test_files_of_others_and_limits(void **state)
     };
     struct err e = {0};
     struct named_appearance *k = NULL, *other = NULL;
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         kit_ok(named_appearance_open(state_dir, &k, &e), e);
         put_row(k, "a", "p1.jpg", ERR_OK);
@@ -539,7 +530,6 @@ static void test_a_killed_process_loses_nothing_that_it_said(void **state)
     unsigned next = 0;
     char want[300][TARGET_APPEARANCE_MAX] = {{0}};
     struct err e = {0};
-    (void)state;
     for (int round = 0; round < KILLS; round++) {
         int pipes[2], status;
         unsigned i;

@@ -47,7 +47,6 @@ static void make_city(const char *path, uint32_t n_coarse)
 static int remote_setup_all(void **state)
 {
     struct err e = {0};
-    (void)state;
     log_set_level(LOG_ERROR);
     kit_tmpdir(r.dir);
     kit_ok(file_join(r.cache, r.dir, "cache", &e), e);
@@ -63,7 +62,6 @@ static int remote_setup_all(void **state)
 
 static int remote_teardown_all(void **state)
 {
-    (void)state;
     ranges_stop();
     if (r.has_nginx)
         ranges_nginx_stop(&r.nginx);
@@ -74,7 +72,6 @@ static int remote_teardown_all(void **state)
 /* Nothing is kept of what was read before. */
 static int remote_setup(void **state)
 {
-    (void)state;
     kit_rmdir(r.cache);
     blocks_configure(r.cache, (uint64_t)1 << 30);
     atomic_store(&ranges.way, RANGES_WELL);
@@ -131,7 +128,6 @@ static void a_remote_store_is_as_its_file(void **state)
     struct err e = {0};
     struct store *near = NULL, *far = NULL;
     size_t bad = 1;
-    (void)state;
     if (!r.has_nginx)
         skip();
     kit_ok(store_open(r.first, &near, &e), e);
@@ -156,7 +152,6 @@ static void a_cold_tile_takes_few_requests(void **state)
     struct err e = {0};
     struct store *near = NULL, *far = NULL;
     size_t n, most = 0;
-    (void)state;
     kit_ok(store_open(r.first, &near, &e), e);
     uint64_t before = range_requests();
     kit_ok(store_open(rude(), &far, &e), e);
@@ -180,7 +175,6 @@ static void a_remote_store_by_its_file_of_blocks(void **state)
     struct err e = {0};
     struct store *near = NULL, *far = NULL, *more = NULL;
     int fd = -1;
-    (void)state;
     kit_ok(store_open(r.first, &near, &e), e);
     kit_ok(store_open_file(rude(), &fd, &e), e);
     kit_ok(store_open_fd(fd, rude(), &far, &e), e);
@@ -200,7 +194,6 @@ static void what_passes_is_repeated(void **state)
     static const int ways[] = {RANGES_BUSY, RANGES_CUT};
     struct err e = {0};
     struct store *near = NULL, *far = NULL;
-    (void)state;
     kit_ok(store_open(r.first, &near, &e), e);
     for (size_t i = 0; i < 2; i++) {
         remote_setup(state);
@@ -232,7 +225,6 @@ static void what_cannot_be_read_is_told(void **state)
     };
     struct err e = {0};
     struct store *s = NULL;
-    (void)state;
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         atomic_store(&ranges.way, cases[i].way);
         remote_until(clock_s() + 0.2);
@@ -253,7 +245,6 @@ static void secrets_are_not_told(void **state)
     struct err e = {0};
     struct store *s = NULL;
     char url[128];
-    (void)state;
     atomic_store(&ranges.way, RANGES_NONE);
     snprintf(url, sizeof url, "http://me:secret@127.0.0.1:%u/a?sig=secret", ranges.port);
     kit_fails(store_open(url, &s, &e), ERR_NOENT, e, "/a: status 404");
@@ -268,7 +259,6 @@ static void revisions_are_never_mixed(void **state)
     struct store *old = NULL, *far = NULL, *now = NULL;
     struct buf b = {0};
     size_t n, failed = 0;
-    (void)state;
     kit_ok(store_open(r.first, &old, &e), e);
     kit_ok(store_open(rude(), &far, &e), e);
     const struct store_tile *tiles = store_tiles(old, &n);
@@ -314,7 +304,6 @@ static void damage_of_what_is_kept_is_mended(void **state)
     struct store *near = NULL, *far = NULL;
     char path[FILE_PATH_MAX];
     struct stat st;
-    (void)state;
     kit_ok(store_open(r.first, &near, &e), e);
     kit_ok(store_open(rude(), &far, &e), e);
     assert_same_store(near, far);
@@ -342,7 +331,6 @@ static void what_is_kept_is_bounded(void **state)
     struct store *near = NULL, *far = NULL;
     char path[FILE_PATH_MAX];
     struct stat st;
-    (void)state;
     blocks_configure(r.cache, LIMIT);
     kit_ok(store_open(r.first, &near, &e), e);
     kit_ok(store_open(rude(), &far, &e), e);
@@ -435,7 +423,6 @@ static void requests_to_a_bucket_are_signed(void **state)
     struct err e = {0};
     struct store *near = NULL, *far = NULL;
     char endpoint[64];
-    (void)state;
     snprintf(endpoint, sizeof endpoint, "http://127.0.0.1:%u/", ranges.port);
     setenv("AWS_ENDPOINT_URL", endpoint, 1);
     setenv("AWS_REGION", "eu-north-1", 1);
@@ -489,7 +476,6 @@ static void a_server_waits_for_its_store(void **state)
     struct reply x, y;
     char path[128], cold[128];
     const struct key k = served_key(SERVED_ZOOM_MAX), away = {k.z, k.x + SIDE - 1, k.y + SIDE - 1};
-    (void)state;
     t.paths[0] = r.first;
     arena_free(&t.arena);
     served_config(&t.cfg, &t.arena);
@@ -526,7 +512,6 @@ static void a_server_opens_a_replaced_store(void **state)
     struct reply x;
     char path[128], old[13];
     const struct key k = served_key(SERVED_ZOOM_MAX), away = {k.z, k.x + SIDE - 1, k.y + SIDE - 1};
-    (void)state;
     start_remote();
     tile_path(k, path);
     memcpy(old, t.rev, sizeof old);
@@ -558,7 +543,6 @@ static void a_server_opens_a_replaced_store(void **state)
 /* Without a request for a tile it asks, as often as it shall. */
 static void a_server_asks_for_another_revision(void **state)
 {
-    (void)state;
     start_remote();
     server_stop(&t.server);
     t.cfg.remote_refresh_s = 30;

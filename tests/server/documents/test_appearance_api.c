@@ -72,7 +72,6 @@ static void light_city(void)
 static int setup(void **state)
 {
     struct err e = {0};
-    (void)state;
     kit_tmpdir(t.dir);
     kit_ok(file_join(t.lit, t.dir, "lit.tiles", &e), e);
     kit_ok(file_join(t.plain, t.dir, "plain.tiles", &e), e);
@@ -89,7 +88,6 @@ static int setup(void **state)
 
 static int teardown(void **state)
 {
-    (void)state;
     services_free(&t.s);
     arena_free(&t.arena);
     appearance_free(&t.model);
@@ -250,7 +248,6 @@ static void assert_nearest(const json_t *found, const double want[IMAGE])
 
 static void the_list_names_every_look_with_links_that_work(void **state)
 {
-    (void)state;
     char path[2048];
     json_t *o = get_json("/d/lit/appearances"), *list = json_object_get(o, "appearances");
     assert_string_equal(text_of(o, "default"), BAKE_DEFAULT);
@@ -284,7 +281,6 @@ static void the_list_names_every_look_with_links_that_work(void **state)
 
 static void blends_and_posted_mixes_are_the_same_embedding(void **state)
 {
-    (void)state;
     char target[2048];
     double want[IMAGE];
     float first[IMAGE], again[IMAGE];
@@ -327,7 +323,6 @@ static void blends_and_posted_mixes_are_the_same_embedding(void **state)
 /* An embedding has one spelling: another one is refused, and told the right one. */
 static void embeddings_have_one_spelling(void **state)
 {
-    (void)state;
     struct buf body = {0}, target = {0};
     char text[TARGET_APPEARANCE_MAX];
     buf_printf(&body, "{\"embedding\":[-0.0");
@@ -377,7 +372,6 @@ static void tile_in(const char *query, char etag[BODY_ETAG_SIZE], struct gauss *
 
 static void tiles_are_baked_in_the_look_that_is_asked_for(void **state)
 {
-    (void)state;
     struct err e = {0};
     char tag[4][BODY_ETAG_SIZE];
     struct gauss g[4], want = {0};
@@ -472,7 +466,6 @@ static void trained_tile(const char *ext, struct response *out)
 
 static void a_client_gets_the_colours_that_the_server_bakes(void **state)
 {
-    (void)state;
     struct err e = {0};
     struct response drc, baked_drc;
     struct quant q;
@@ -525,7 +518,6 @@ static void a_client_gets_the_colours_that_the_server_bakes(void **state)
 
 static void none_is_what_was_trained(void **state)
 {
-    (void)state;
     struct err e = {0};
     char tag[2][BODY_ETAG_SIZE];
     struct gauss got, want;
@@ -551,7 +543,6 @@ static void none_is_what_was_trained(void **state)
 
 static void photographs_have_times_poses_and_thumbnails(void **state)
 {
-    (void)state;
     char target[256];
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
     json_t *o = document_of_revision("appearances.json"), *list = json_object_get(o, "photographs"),
@@ -588,7 +579,6 @@ static void photographs_have_times_poses_and_thumbnails(void **state)
 
 static void tilesets_and_prefetch_lists_carry_the_look(void **state)
 {
-    (void)state;
     char want[256], target[512];
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
     const struct key k = served_key(17);
@@ -649,14 +639,12 @@ static void many_ask_at_once(void **state)
     enum { N = 200 };
     struct err e = {0};
     _Atomic size_t n_found = 0;
-    (void)state;
     kit_ok(pool_for(N, 4, ask_one, &n_found, &e), e);
     assert_int_equal(n_found, N);
 }
 
 static void what_is_no_look_is_a_clear_answer(void **state)
 {
-    (void)state;
     char target[2048];
     static const struct {
         enum method method;

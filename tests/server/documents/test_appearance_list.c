@@ -103,7 +103,6 @@ static void test_places_and_times(void **state)
 {
     json_t *o = list_of("/d/lit/appearances"), *list = json_object_get(o, "appearances"), *row;
     size_t k;
-    (void)state;
     assert_int_equal(json_array_size(list), PHOTOS + 1);
     assert_int_equal(number(o, "numberMatched"), PHOTOS + 1);
     assert_int_equal(number(o, "numberReturned"), PHOTOS + 1);
@@ -137,7 +136,6 @@ static void test_colours(void **state)
     struct dataset *d = catalog_find(t.s.catalog, "lit", "");
     const struct appearance *a = d->appearance;
     size_t k;
-    (void)state;
     kit_ok(store_read_gauss(d->stores[0], served_key(17), &g, &e), e);
     json_array_foreach(json_object_get(o, "appearances"), k, row)
     {
@@ -165,7 +163,6 @@ static void test_links(void **state)
     json_t *o = list_of("/d/lit/appearances"), *row, *link;
     size_t k, i;
     char target[300];
-    (void)state;
     json_array_foreach(json_object_get(o, "appearances"), k, row)
         json_array_foreach(json_object_get(row, "links"), i, link)
     {
@@ -188,7 +185,6 @@ static void test_links(void **state)
 static void test_none(void **state)
 {
     json_t *o = list_of("/d/toy/appearances");
-    (void)state;
     assert_int_equal(json_array_size(json_object_get(o, "appearances")), 0);
     expect("default", json_string_value(json_object_get(o, "default")), "");
     json_decref(o);

@@ -18,7 +18,6 @@ static void test_reload(void **state)
     struct err e = {0};
     char path[FILE_PATH_MAX];
     struct catalog *first = NULL, *second = NULL, *third = NULL;
-    (void)state;
     kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
     const char *paths[] = {path};
     served_city(path, "moving", 10);
@@ -86,7 +85,6 @@ static void test_forged_sizes(void **state)
                                     .sh_degree = 1,
                                     .zoom_min = SERVED_ZOOM_MAX,
                                     .zoom_max = SERVED_ZOOM_MAX};
-    (void)state;
     kit_ok(file_join(path, t.dir, "forged.tiles", &e), e);
     for (int k = 0; k < 6; k++) {
         struct store *s = NULL;
@@ -224,7 +222,6 @@ static void test_a_folder_of_stores(void **state)
     struct catalog_place *place;
     size_t n, folders;
     char scene[FILE_PATH_MAX];
-    (void)state;
     folder.o = served_stores;
     folder.o.again_s = 10;
     kit_ok(file_join(folder.dir, t.dir, "stores", &e), e);
@@ -265,7 +262,6 @@ static void test_a_start_reads_no_tiles(void **state)
     struct err e = {0};
     char path[FILE_PATH_MAX];
     uint64_t took[2];
-    (void)state;
     if (!bytes_read())
         skip();
     for (int i = 0; i < 2; i++) {
@@ -300,7 +296,6 @@ static void test_a_start_reads_no_counts(void **state)
                                     .sh_degree = 1,
                                     .zoom_min = SERVED_ZOOM_MIN,
                                     .zoom_max = SERVED_ZOOM_MAX};
-    (void)state;
     if (!bytes_read())
         skip();
     kit_ok(file_join(path, t.dir, "seen.tiles", &e), e);
@@ -331,7 +326,6 @@ static void test_handles_share_the_index(void **state)
     struct dataset *d = NULL;
     struct store *s[READERS];
     size_t n, n_first;
-    (void)state;
     kit_ok(dataset_open(t.path, READERS, NULL, &d, &e), e);
     const struct store_tile *first = store_tiles(d->index, &n_first);
     for (int i = 0; i < READERS; i++) {
@@ -361,7 +355,6 @@ static void test_documents_wait_where_there_are_many(void **state)
     struct catalog *at_once = served_catalog(paths, 1, &options, NULL);
     options.lazy = true;
     struct catalog *lazy = served_catalog(paths, 1, &options, NULL);
-    (void)state;
     for (int i = 0; i < DATASET_DOCUMENTS; i++) {
         const enum dataset_document which = (enum dataset_document)i;
         assert_non_null(atomic_load(&at_once->ds[0]->document[i]));
@@ -390,7 +383,6 @@ static void test_a_geoid_makes_heights_ellipsoidal(void **state)
     char path[FILE_PATH_MAX], grid[FILE_PATH_MAX];
     struct geoid *geoid = NULL;
     struct store *s = NULL;
-    (void)state;
     kit_ok(file_join(grid, t.dir, "geoid.gtx", &e), e);
     kit_gtx(grid, 52, 13);
     kit_ok(geoid_open(grid, &geoid, &e), e);
@@ -443,7 +435,6 @@ static void test_a_reload_that_fails_late(void **state)
     struct err e = {0};
     char a[FILE_PATH_MAX], b[FILE_PATH_MAX];
     struct catalog *first = NULL, *bad = NULL, *second = NULL;
-    (void)state;
     kit_ok(file_join(a, t.dir, "a.tiles", &e), e);
     kit_ok(file_join(b, t.dir, "b.tiles", &e), e);
     const char *paths[] = {a, b};

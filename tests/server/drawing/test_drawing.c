@@ -211,19 +211,16 @@ static void survive(const char *what, bool hangs)
 
 static void test_a_kernel_that_reads_wildly(void **state)
 {
-    (void)state;
     survive("wild", false);
 }
 
 static void test_a_driver_that_aborts(void **state)
 {
-    (void)state;
     survive("abort", false);
 }
 
 static void test_a_kernel_that_never_ends(void **state)
 {
-    (void)state;
     t.cfg.device_timeout_s = 1.5; /* kernels are compiled for the first picture */
     survive("ever", true);
 }
@@ -235,7 +232,6 @@ static void test_a_driver_that_always_crashes(void **state)
     struct reply r;
     char target[256];
     bool waited = false;
-    (void)state;
     if (!start_with_device())
         skip();
     (void)await_picture(0);
@@ -272,7 +268,6 @@ static void test_one_of_two_hangs(void **state)
     struct worker_status st;
     struct reply r;
     bool alone = false;
-    (void)state;
     t.cfg.device_timeout_s = 6;
     t.cfg.drawers = 2;
     t.cfg.memory = "3G";
@@ -318,7 +313,6 @@ static void test_stopping_while_it_hangs(void **state)
 {
     char target[256], request[400];
     struct reply r;
-    (void)state;
     t.cfg.drain_timeout_s = 0.2;
     if (!start_with_device())
         skip();
@@ -345,7 +339,6 @@ static void test_stopping_while_it_hangs(void **state)
 static void test_giving_up(void **state)
 {
     char target[256], request[400];
-    (void)state;
     if (!start_with_device())
         skip();
     (void)await_picture(0);
@@ -416,8 +409,7 @@ static void test_a_picture_is_traced(void **state)
     struct trace_result r;
     struct err e = {0};
     const double round_s = 1e-6; /* times are written in tenths of microseconds */
-    (void)state;
-    t.cfg.workers = 1; /* one thread for tiles */
+    t.cfg.workers = 1;           /* one thread for tiles */
     if (!start_with_device())
         skip();
     (void)await_picture(0);

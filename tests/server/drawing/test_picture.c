@@ -54,7 +54,6 @@ static void test_bytes(void **state)
     struct reply r;
     struct buf want = {0};
     char target[256], etag[64], line[128];
-    (void)state;
     if (!start_with_device())
         skip();
     draw(&want);
@@ -118,7 +117,6 @@ static void test_crowd(void **state)
     struct job_stats st;
     char target[256], request[400];
     struct reply r;
-    (void)state;
     if (!start_with_device())
         skip();
     struct services *s = server_services(t.server);
@@ -164,7 +162,6 @@ static void test_gone_clients(void **state)
     int fd[CLIENTS];
     struct job_stats st;
     char target[256], request[400];
-    (void)state;
     if (!start_with_device())
         skip();
     struct services *s = server_services(t.server);
@@ -203,7 +200,6 @@ static void test_pictures_of_an_older_revision(void **state)
     struct reply r;
     struct buf want = {0};
     char path[FILE_PATH_MAX], target[256], old[13];
-    (void)state;
     kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
     served_city(path, "toy", 2000);
     t.paths[0] = path;
@@ -240,7 +236,6 @@ static void test_pictures_of_a_restored_file(void **state)
     struct reply r;
     struct buf links = {0};
     char path[FILE_PATH_MAX], good[FILE_PATH_MAX], target[256];
-    (void)state;
     kit_ok(file_join(path, t.dir, "restored.tiles", &e), e);
     kit_ok(file_join(good, t.dir, "good.tiles", &e), e);
     served_city(path, "toy", 2000);

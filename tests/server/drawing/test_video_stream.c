@@ -20,7 +20,6 @@ static void test_memory_for_encoders(void **state)
 {
     struct video_stream_room room = {.limit_bytes = video_room(640, 360), .threads = 1};
     struct video_stream_shot shot;
-    (void)state;
     if (!video_can())
         skip();
     struct video_stream *first = video_stream_begin(&room), *second = video_stream_begin(&room);
@@ -42,7 +41,6 @@ static void test_quality_follows_the_line(void **state)
     struct video_stream_room room = {.limit_bytes = SIZE_MAX, .threads = 1};
     struct video_stream_told told;
     struct video_stream_shot first, shot;
-    (void)state;
     if (!video_can())
         skip();
     struct video_stream *f = video_stream_begin(&room);
@@ -75,7 +73,6 @@ static void test_size_follows_the_time(void **state)
     struct video_stream_room room = {.limit_bytes = SIZE_MAX, .threads = 1};
     struct video_stream_told told;
     struct video_stream_shot shot;
-    (void)state;
     if (!video_can())
         skip();
     struct video_stream *f = video_stream_begin(&room);
@@ -100,7 +97,6 @@ static void test_opening_does_not_count(void **state)
     struct video_stream_shot shot;
     struct buf out = {0};
     struct err e = {0};
-    (void)state;
     if (!video_can())
         skip();
     struct video_stream *f = video_stream_begin(&room);
@@ -129,7 +125,6 @@ static void test_planes(void **state)
     struct err e = {0};
     struct image img;
     uint8_t planes[WIDE * HIGH + 2 * 3 * 2];
-    (void)state;
     static const struct {
         uint8_t rgb[3], yuv[3];
     } known[] = {/* BT.709, narrow range */
@@ -271,7 +266,6 @@ static void test_frames_are_what_is_drawn(void **state)
 {
     struct watcher w;
     struct part p, rest = {0};
-    (void)state;
     watch_begin(&w);
     turn(&w, 1, 20, 640, &p);
     assert_true(w.frames >= 2 && p.key >= 0);
@@ -337,7 +331,6 @@ static void test_slow_reader(void **state)
     enum { HELD_BYTES = 96 << 10 };
     struct watcher w;
     struct part p;
-    (void)state;
     watch_begin(&w);
     turn(&w, 1, 2, 1200, &p);
     const size_t before = w.r.raw.size;
@@ -361,7 +354,6 @@ static void test_without_an_encoder(void **state)
 {
     struct reader r;
     struct part p;
-    (void)state;
     if (video_can())
         skip();
     start_drawing();
@@ -376,7 +368,6 @@ static void test_without_an_encoder(void **state)
 static void test_refusals(void **state)
 {
     struct reply a;
-    (void)state;
     t.cfg.device = "none";
     start();
     ask("GET", "/d/toy/motion/0123456789abcdef?video=h264", "", &a);

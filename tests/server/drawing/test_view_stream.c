@@ -24,7 +24,6 @@ static void test_small_while_it_moves_full_at_rest(void **state)
     enum { POSES = 40 };
     struct reader r;
     struct part p;
-    (void)state;
     follow(&r);
     assert_false(reader_next(&r, 0.3, &p)); /* nobody said where the camera is */
     assert_int_equal(steer(NAME, 1, 10, 800, ""), 204);
@@ -70,7 +69,6 @@ static void test_refusals(void **state)
 {
     struct reader r[3];
     struct reply a;
-    (void)state;
     t.cfg.client_streams = 2;
     start_drawing();
     assert_int_equal(steer(NAME, 1, 0, 100, ""), 404); /* nobody reads it */
@@ -113,7 +111,6 @@ static void test_idle_streams_end(void **state)
 {
     struct reader r;
     struct part p;
-    (void)state;
     t.cfg.stream_idle_s = 1;
     start_drawing();
     reader_open(&r, NAME);
@@ -131,7 +128,6 @@ static void test_unsteered_streams_give_way(void **state)
     struct part p;
     struct reply a;
     const double least_s = 1;
-    (void)state;
     t.cfg.streams = 2;
     t.cfg.stream_idle_s = 12 * least_s;
     start_drawing();
@@ -161,7 +157,6 @@ static void test_slow_reader(void **state)
 {
     struct reader slow, fast;
     struct part p;
-    (void)state;
     t.cfg.write_timeout_s = 1;
     start_drawing();
     reader_open(&slow, NAME);
@@ -192,7 +187,6 @@ static void test_come_and_go(void **state)
     struct reader r[STREAMS];
     struct part p;
     char name[STREAMS][32];
-    (void)state;
     start_drawing();
     for (int round = 0; round < ROUNDS; round++) {
         for (int i = 0; i < STREAMS; i++) {
@@ -254,7 +248,6 @@ static void test_the_process_that_draws_is_killed(void **state)
 {
     struct reader r;
     struct part p;
-    (void)state;
     follow(&r);
     assert_int_equal(steer(NAME, 1, 10, 400, ""), 204);
     assert_true(reader_next(&r, PATIENCE_S, &p));
@@ -269,7 +262,6 @@ static void test_stopping(void **state)
 {
     struct reader r[2];
     struct part p;
-    (void)state;
     start_drawing();
     reader_open(&r[0], NAME);
     reader_open(&r[1], "0123456789abcdeg");

@@ -182,7 +182,6 @@ static void begin(const char *hello, const struct worker_config *more)
 
 static int end(void **state)
 {
-    (void)state;
     worker_close(&w);
     buf_free(&out);
     return 0;
@@ -251,7 +250,6 @@ static const struct worker_config quick = {.start_s = 10,
 static void test_renewed(void **state)
 {
     struct err e = {0};
-    (void)state;
     begin("hello", &quick);
     for (uint64_t i = 1; i <= 3; i++) { /* also when it is replaced again and again */
         kit_ok(ask("r", &e), e);
@@ -274,7 +272,6 @@ static void test_answers(void **state)
     struct err e = {0};
     size_t before = open_files();
     FILE *f = tmpfile();
-    (void)state;
     begin("hello", &quick);
     kit_ok(ask("e1000", &e), e);
     assert_int_equal(out.size, 1000);
@@ -335,7 +332,6 @@ static void crash(const char *request)
 static void test_crash(void **state)
 {
     struct err e = {0};
-    (void)state;
     begin("hello", &quick);
     for (int i = 0; i < 2; i++) {
         crash(i ? "x" : "s");
@@ -355,7 +351,6 @@ static void test_hang(void **state)
 {
     struct err e = {0};
     struct worker_config cfg = quick;
-    (void)state;
     cfg.ask_s = 0.3;
     begin("hello", &cfg);
     kit_ok(ask("e1", &e), e);
@@ -374,7 +369,6 @@ static void test_nonsense(void **state)
 {
     struct err e = {0};
     struct worker_config cfg = quick;
-    (void)state;
     cfg.pause_s = 0.01;
     for (const char *how = "12345"; *how; how++) {
         begin("hello", &cfg);
@@ -395,7 +389,6 @@ static void test_pauses(void **state)
 {
     struct err e = {0};
     double last_s = 0;
-    (void)state;
     begin("hello", &quick);
     kit_fails(ask("s", &e), ERR_DEVICE, e, NULL);
     for (int i = 0; i < 4; i++) {
@@ -424,7 +417,6 @@ static void test_never_ready(void **state)
 {
     struct err e = {0};
     struct worker_config cfg = quick;
-    (void)state;
     begin("off", &cfg);
     await_state(WORKER_OFF);
     kit_fails(ask("e1", &e), ERR_BUSY, e, "pictures are off: the device did not start");
@@ -460,7 +452,6 @@ static void test_tried_again(void **state)
     struct worker_config cfg = quick;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], hello[FILE_PATH_MAX + 8];
     double last_s = 0;
-    (void)state;
     cfg.off_pause_s = 0.2;
     cfg.off_pause_most_s = 0.5;
     kit_tmpdir(dir);
@@ -499,7 +490,6 @@ static void test_cancelled(void **state)
 {
     struct err e = {0};
     uint64_t life, again;
-    (void)state;
     begin("hello", &quick);
     for (int i = 0; i < 40; i++) {
         atomic_int n = 0, *pn = &n;
@@ -529,7 +519,6 @@ static void test_stopping_while_it_hangs(void **state)
 {
     struct err e = {0};
     pthread_t id;
-    (void)state;
     begin("hello", &quick);
     kit_ok(ask("e1", &e), e);
     pid_t pid = status().pid;
@@ -547,7 +536,6 @@ static void test_stopping_while_it_hangs(void **state)
 /* Ended from outside while nobody asks: it is there again before anybody does. */
 static void test_ended_while_idle(void **state)
 {
-    (void)state;
     begin("hello", &quick);
     await_state(WORKER_READY);
     pid_t pid = status().pid;
@@ -572,7 +560,6 @@ static void test_this_side_killed(void **state)
 {
     char pid[32] = "";
     int line[2];
-    (void)state;
     for (int hangs = 0; hangs < 2; hangs++) {
         assert_int_equal(pipe(line), 0);
         pid_t parent = fork(); /* no other thread is there now */
@@ -615,7 +602,6 @@ static int parent_main(bool hangs)
 static void test_by_hand(void **state)
 {
     struct buf said = {0};
-    (void)state;
     assert_int_equal(
         kit_run(&said, "'%s' %s </dev/null 3</dev/null", kit_program(), WORKER_ARGUMENT), EX_USAGE);
     buf_u8(&said, 0);

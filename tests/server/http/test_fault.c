@@ -97,7 +97,6 @@ int __wrap_listen(int fd, int n)
 static void test_starting(void **state)
 {
     enum { MOST = 100000 };
-    (void)state;
     t.cfg.admin = "127.0.0.1:0";
     int before = (int)open_files();
     for (int f = 0; f < FAULTS; f++) {
@@ -149,7 +148,6 @@ static void test_serving_without_memory(void **state)
     char target[128], cold[200];
     struct reply want, r;
     int by[600] = {0};
-    (void)state;
     t.cfg.client_tiles_s = 0;
     start();
     mem_on_short(NULL, NULL); /* else the cache gives way, and all are 200 (test_memory.c) */
@@ -192,7 +190,6 @@ static void test_disk_that_fails(void **state)
 {
     char hot[128], cold[128];
     struct reply r;
-    (void)state;
     sqlite3_vfs *vfs = sqlite3_vfs_find(NULL);
     vfs->xSetSystemCall(vfs, "pread", (sqlite3_syscall_ptr)bad_pread);
     vfs->xSetSystemCall(vfs, "pread64", (sqlite3_syscall_ptr)bad_pread);
@@ -222,7 +219,6 @@ static void test_disk_that_fails(void **state)
 
 static void test_log_that_fails(void **state)
 {
-    (void)state;
     t.cfg.access_log = true;
     log_set_level(LOG_INFO);
     atomic_store(&fault_write, true);

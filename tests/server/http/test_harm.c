@@ -21,7 +21,6 @@ static void test_truncated_store(void **state)
     struct stat st;
     int n_ok = 0, n_bad = 0;
     struct reply r;
-    (void)state;
     kit_ok(file_join(path, t.dir, "cut.tiles", &e), e);
     served_city(path, "toy", 4000);
     t.paths[0] = path;
@@ -93,7 +92,6 @@ static void test_revisions(void **state)
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128], revs[ROUNDS][13];
     size_t files = 0;
-    (void)state;
     kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
     t.paths[0] = path;
     t.cfg.keep_revisions = KEEP;
@@ -187,7 +185,6 @@ static void test_large_bodies_in_flight(void **state)
     char path[FILE_PATH_MAX], target[128], other[128];
     int fd[READERS], others[8], refused = 0;
     struct reply r;
-    (void)state;
     kit_ok(file_join(path, t.dir, "large.tiles", &e), e);
     served_city(path, "toy", GAUSSIANS);
     t.paths[0] = path;
@@ -240,7 +237,6 @@ static void test_least_rate(void **state)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128], request[256], bytes[8192];
-    (void)state;
     kit_ok(file_join(path, t.dir, "rate.tiles", &e), e);
     served_city(path, "toy", 60000);
     t.paths[0] = path;
@@ -283,7 +279,6 @@ static void test_blocked_stderr(void **state)
 {
     int log[2], was = dup(STDERR_FILENO);
     char bytes[4096];
-    (void)state;
     assert_int_equal(pipe(log), 0);
     assert_int_equal(fcntl(log[1], F_SETFL, O_NONBLOCK), 0);
     memset(bytes, 'x', sizeof bytes);

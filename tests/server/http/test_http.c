@@ -35,7 +35,6 @@ static void test_large_answers(void **state)
     enum { AGAIN = 50, FROM = 70000, TO = 170000 };
     struct reply first, r;
     char target[128], line[64];
-    (void)state;
     start();
     ask("GET", tile_target(17, "ply", target), "", &first);
     assert_int_equal(first.status, 200);
@@ -70,7 +69,6 @@ static void test_headers(void **state)
 {
     struct reply r;
     char target[128];
-    (void)state;
     start();
     ask("GET", tile_target(17, "glb", target), "Origin: http://map\r\n", &r);
     assert_int_equal(r.status, 200);
@@ -196,7 +194,6 @@ static void test_304_of_a_cold_tile(void **state)
     struct reply r;
     char target[128], line[128];
     struct job_stats before, after;
-    (void)state;
     start();
     ask("GET", tile_target(15, "spz", target), "", &r);
     snprintf(line, sizeof line, "If-None-Match: %s\r\n", header(&r, "ETag"));
@@ -216,7 +213,6 @@ static void test_keep_alive_and_pipelining(void **state)
 {
     struct buf q = {0}, rest = {0};
     char target[128];
-    (void)state;
     t.cfg.requests_per_connection = 5;
     start();
     int fd = dial(t.port);
@@ -255,7 +251,6 @@ static void test_damaged_tile(void **state)
     char path[FILE_PATH_MAX], target[128], name[64], text[256];
     const struct key bad = served_key(17);
     struct buf said = {0};
-    (void)state;
     kit_ok(file_join(path, t.dir, "damaged.tiles", &e), e);
     served_city(path, "toy", 30);
     store_fixture_damage(path, bad, path);
@@ -301,7 +296,6 @@ static void test_one_job_for_many_clients(void **state)
     char target[128], request[256];
     struct reply first = {0};
     struct job_stats st;
-    (void)state;
     start();
     snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(17, "ply", target));
@@ -369,7 +363,6 @@ static void test_304_of_what_was_not_made(void **state)
     char target[128], etag[BODY_ETAG_SIZE], line[400];
     struct reply r;
     struct buf got = {0};
-    (void)state;
     start();
     ask("GET", tile_target(17, "glb", target), "", &r);
     snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
@@ -398,7 +391,6 @@ static void test_shared(void **state)
 {
     static const char *const exts[3] = {"spz", "glb", "drc"};
     struct err e = {0};
-    (void)state;
     start();
     for (size_t i = 0; i < 3; i++) {
         struct reply r;
@@ -415,7 +407,6 @@ static void test_vanishing_clients(void **state)
     static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "compressed.ply",
                                        "sog"};
     const struct linger reset = {.l_onoff = 1, .l_linger = 0};
-    (void)state;
     t.cfg.workers = 1;
     start();
     struct services *s = server_services(t.server);
@@ -449,7 +440,6 @@ static void test_busy_port(void **state)
 {
     struct err e = {0};
     struct server *second = NULL;
-    (void)state;
     start();
     t.cfg.port = t.port;
     kit_fails(server_start(&t.cfg, t.paths, 1, &second, &e), ERR_BUSY, e, "--port");
@@ -490,7 +480,6 @@ static void test_stopping_finishes_answers(void **state)
                                        "sog"};
     struct err e = {0};
     int fd[20], idle;
-    (void)state;
     t.cfg.workers = 1;
     start();
     idle = dial(t.port);
@@ -537,7 +526,6 @@ static void test_program(void **state)
     int out[2], status = -1;
     char line[256] = "", target[128], request[256], log[FILE_PATH_MAX];
     struct err e = {0};
-    (void)state;
     start();
     server_stop(&t.server); /* for the revision alone */
     char damaged[FILE_PATH_MAX];
@@ -612,7 +600,6 @@ static void test_few_descriptors(void **state)
     char line[256] = "", log[FILE_PATH_MAX];
     struct err e = {0};
     struct rlimit soft, was;
-    (void)state;
     kit_ok(file_join(log, t.dir, "few.log", &e), e);
     assert_int_equal(pipe(out), 0);
     pid_t pid = fork();

@@ -32,7 +32,6 @@ static void test_cache_policies(void **state)
     struct err e = {0};
     struct reply r;
     char target[128];
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
         kit_fails(cache_policy_read(bad[i], &p, &e), ERR_ARG, e, "--cache-policy");
     kit_ok(cache_policy_read("a=private,b=no-store,c=300,*=public", &p, &e), e);
@@ -81,7 +80,6 @@ static void test_request_ids(void **state)
     struct reply r;
     char own[2][80];
     const char *at;
-    (void)state;
     start();
     ask("GET", "/healthz", "X-Request-Id: proxy-7.a_B\r\n", &r);
     assert_string_equal(header(&r, "X-Request-Id"), "proxy-7.a_B");
@@ -129,7 +127,6 @@ static void test_base_path(void **state)
     struct err e = {0};
     struct reply r;
     struct server *none = NULL;
-    (void)state;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         t.cfg.base_path = bad[i];
         kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--base-path");
@@ -205,7 +202,6 @@ static void admin_knows_its_names(uint16_t admin)
 /* The host of --public-url is one of its names. */
 static void test_admin_of_a_public_url(void **state)
 {
-    (void)state;
     t.cfg.admin = "127.0.0.1:0";
     t.cfg.public_url = "https://maps.example:8443/splats";
     start();
@@ -219,7 +215,6 @@ static void test_admin_listener(void **state)
     struct err e = {0};
     struct reply r;
     struct server *none = NULL;
-    (void)state;
     t.cfg.admin = "localhost:1";
     kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--admin");
     t.cfg.admin = "127.0.0.1";
@@ -382,7 +377,6 @@ static void test_lines_of_the_log(void **state)
                                                                 "0",    "--log-format",
                                                                 "json", NULL};
     struct err e = {0};
-    (void)state;
     rights_put("lines.tiles", "this is no store", bad);
     for (int journal = 0; journal < 2; journal++) {
         struct program p = {.journal = journal};
@@ -494,7 +488,6 @@ static void test_a_folder_is_served(void **state)
     struct err e = {0};
     struct buf log = {0};
     uint16_t admin;
-    (void)state;
     (void)kit_program(); /* skips the test where there is none */
     program_of_folder(&p, "stores", dir, NULL, NULL, &admin);
     kit_ok(file_join(good, dir, "good.tiles", &e), e);
@@ -549,7 +542,6 @@ static void test_it_starts_with_what_is_whole(void **state)
     char bad[FILE_PATH_MAX], fifo[FILE_PATH_MAX];
     static const char away[] = "http://127.0.0.1:1/away.tiles";
     struct err e = {0};
-    (void)state;
     kit_ok(file_join(fifo, t.dir, "pipe.tiles", &e), e);
     assert_int_equal(mkfifo(fifo, 0600), 0);
     rights_put("mended.tiles", "cut off", bad);
@@ -609,7 +601,6 @@ static void test_a_store_that_hangs(void **state)
     struct reply r;
     uint16_t admin;
     int asks[1 + ASKS];
-    (void)state;
 #ifndef CITYSPLAT_SYSTEMD
     skip();
 #endif
@@ -709,7 +700,6 @@ static void end_of_a_store_that_hangs(const char *name, bool comes)
 
 static void test_a_store_that_hangs_at_the_end(void **state)
 {
-    (void)state;
 #ifndef CITYSPLAT_SYSTEMD
     skip();
 #endif
@@ -727,7 +717,6 @@ static void test_descriptors_for_more_stores(void **state)
     struct rlimit was;
     struct err e = {0};
     uint16_t admin;
-    (void)state;
     (void)kit_program();
     assert_int_equal(getrlimit(RLIMIT_NOFILE, &was), 0);
     if (was.rlim_max < 4096)
@@ -762,7 +751,6 @@ static void test_a_thousand_stores(void **state)
     struct program p = {0};
     struct reply r;
     struct err e = {0};
-    (void)state;
     (void)kit_program(); /* skips the test where there is none */
     kit_ok(file_join(dir, t.dir, "many", &e), e);
     kit_ok(file_mkdir(dir, &e), e);
@@ -792,7 +780,6 @@ static void test_exit_hung(void **state)
         "--port", "0", "--device", "no such device", "--exit-hung", "--device-timeout-s",
         "1",      NULL};
     struct program p = {.alone = true};
-    (void)state;
     program_start(&p, NULL, args);
     assert_true(ready_says(p.port, "\"pictures\": \"off: "));
     assert_true(ready_says(p.port, "tried again in"));
@@ -810,7 +797,6 @@ static void test_trace_is_written(void **state)
     bool seen = false;
     size_t i;
     const json_t *ev;
-    (void)state;
     kit_ok(file_join(path, t.dir, "trace.json", &e), e);
     program_start(&p, NULL, args);
     ask_port(p.port, "GET", "/d/toy/tileset.json", "", &r);
@@ -835,7 +821,6 @@ static void test_supervisor(void **state)
     struct reply r;
     struct buf log = {0};
     struct err e = {0};
-    (void)state;
 #ifndef CITYSPLAT_SYSTEMD
     skip();
 #endif
@@ -902,7 +887,6 @@ static void test_socket_activation(void **state)
     struct program p = {0};
     struct reply r;
     uint16_t port, admin;
-    (void)state;
 #ifndef CITYSPLAT_SYSTEMD
     skip();
 #endif
@@ -973,7 +957,6 @@ static void test_revocation(void **state)
     struct err e = {0};
     struct buf log = {0};
     int64_t for_s;
-    (void)state;
     rights_file("\"read:toy\"", "", path);
     program_start(&p, NULL, args);
     kit_ok(auth_open(path, &a, &e), e);
@@ -1024,7 +1007,6 @@ static void test_check_and_exit_codes(void **state)
     char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX], open[FILE_PATH_MAX],
         state_dir[FILE_PATH_MAX], names[FILE_PATH_MAX];
     struct err e = {0};
-    (void)state;
     assert_int_equal(chmod(rights_file("\"admin\"", "", open), 0644), 0);
     kit_ok(file_join(state_dir, t.dir, "state", &e), e);
     kit_ok(file_mkdir(state_dir, &e), e);

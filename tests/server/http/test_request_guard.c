@@ -55,7 +55,6 @@ static void test_malformed_requests(void **state)
 #include "server/malformed.def"
 #undef MALFORMED
     };
-    (void)state;
     start();
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char bytes[256];
@@ -100,7 +99,6 @@ static void test_unusual_requests(void **state)
         {"half a request", "GET /healthz HT", 0},
         {"nothing", "", 0},
     };
-    (void)state;
     start();
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         probe(rows[i].what, rows[i].bytes, strlen(rows[i].bytes), rows[i].status, false);
@@ -111,7 +109,6 @@ static void test_unusual_requests(void **state)
 static void test_expect(void **state)
 {
     struct reply r;
-    (void)state;
     start();
     int fd = dial(t.port);
     say(fd, POST "Expect: 100-continue\r\nContent-Length: 2\r\n\r\n");
@@ -137,7 +134,6 @@ static void test_cut_and_pipelined(void **state)
         "Transfer-Encoding: chunked \r\n\r\n1\r\n{\r\n1%s\r\n}\r\n0\r\nT: x\r\n\r\n" POST
         "Content-Length: 2x\r\n\r\n{}GET /healthz HTTP/1.1\r\n" H "\r\n",
         http_is_strict() ? "" : ";x");
-    (void)state;
     start();
     for (size_t step = 1; step <= n; step = step * 3 + 1) {
         struct buf b = {0}, statuses = {0};
@@ -164,7 +160,6 @@ static void test_cut_and_pipelined(void **state)
 static void test_many_keys(void **state)
 {
     struct buf b = {0};
-    (void)state;
     start();
     for (int n = 10; n <= 600; n += 590) {
         b.size = 0;
@@ -180,7 +175,6 @@ static void test_many_keys(void **state)
 static void test_oversized_requests(void **state)
 {
     struct buf b = {0};
-    (void)state;
     start();
     buf_printf(&b, "GET /%03000d HTTP/1.1\r\n" H "\r\n", 0);
     probe("long target", (char *)b.data, b.size, 414, true);
@@ -212,7 +206,6 @@ static void test_any_bytes(void **state)
     static const char good[] =
         POST "Content-Type: application/json\r\nContent-Length: 2\r\n\r\n{}"
              "GET /collections HTTP/1.1\r\n" H "Accept-Encoding: gzip\r\n\r\n";
-    (void)state;
     t.cfg.header_timeout_s = t.cfg.body_timeout_s = 1;
     start();
     for (uint64_t batch = 0; batch < 10; batch++) {
@@ -262,7 +255,6 @@ static double drip(const char *start_with)
 
 static void test_slow_clients_are_cut(void **state)
 {
-    (void)state;
     t.cfg.header_timeout_s = 0.4;
     t.cfg.body_timeout_s = 0.4;
     t.cfg.idle_timeout_s = 0.4;
@@ -300,7 +292,6 @@ static void test_a_client_that_does_not_read(void **state)
 {
     char target[128], request[256];
     const int small = 4096;
-    (void)state;
     t.cfg.write_timeout_s = 0.1;
     start();
     int fd = dial(t.port);
@@ -322,7 +313,6 @@ static void test_control_bytes(void **state)
 {
     enum { LONGEST = 26 };
     char text[LONGEST];
-    (void)state;
     for (size_t n = 0; n <= LONGEST; n++)
         for (size_t at = 0; at < n; at++)
             for (int byte = 0; byte < 256; byte++) {

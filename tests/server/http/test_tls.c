@@ -54,7 +54,6 @@ static void test_same_bytes(void **state)
 {
     char target[128], text[300];
     struct reply plain;
-    (void)state;
     start();
     ask("GET", tile_target(16, "plain.glb", target), "", &plain);
     assert_int_equal(plain.status, 200);
@@ -85,7 +84,6 @@ static void test_pipelined(void **state)
     enum { N = 20 };
     char target[128];
     struct buf ask_all = {0};
-    (void)state;
     start_tls();
     for (int i = 0; i < N; i++)
         buf_printf(&ask_all, "GET %s HTTP/1.1\r\n" H "%s\r\n", tile_target(17, "drc", target),
@@ -117,7 +115,6 @@ static void test_the_screen_is_in_front(void **state)
         {POST "Content-Length: 2x\r\n\r\n{}GET /healthz HTTP/1.1\r\n" H "\r\n", 1},
         {"GET /healthz HTTP/1.1\r\n" H "\r\nGET /healthz HTTP/1.1\r\nHost: a~b\r\n\r\n", 2},
     };
-    (void)state;
     start_tls();
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         for (size_t step = 1; step < 1000; step = step * 7 + 1) {
@@ -146,7 +143,6 @@ static void test_what_is_refused(void **state)
     struct tunnel x;
     struct buf b = {0};
     char answer[16] = "";
-    (void)state;
     t.cfg.header_timeout_s = 0.4;
     start_tls();
     for (size_t i = 0; i < sizeof old / sizeof *old; i++) {
@@ -199,7 +195,6 @@ static void test_reload(void **state)
     char cert2[FILE_PATH_MAX], key2[FILE_PATH_MAX], bytes[2000];
     struct err e = {0};
     struct tunnel early;
-    (void)state;
     start_tls();
     shown("first");
     assert_true(tunnel_open(&early, t.port, USUAL));
@@ -228,7 +223,6 @@ static void test_files(void **state)
     char other_cert[FILE_PATH_MAX], other_key[FILE_PATH_MAX], about[256];
     struct err e = {0};
     struct tls *x = NULL;
-    (void)state;
     tunnel_pair(t.dir, "first", 90, cert, key);
     tunnel_pair(t.dir, "other", -10, other_cert, other_key);
     kit_fails(tls_open(cert, NULL, &x, &e), ERR_ARG, e, "--tls-key");

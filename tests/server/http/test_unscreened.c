@@ -12,7 +12,6 @@
 static void test_refuses_to_start(void **state)
 {
     struct err e = {0};
-    (void)state;
     if (http_is_strict())
         skip();
     kit_fails(server_start(&t.cfg, t.paths, 1, &t.server, &e), ERR_INTERNAL, e, "libmicrohttpd");

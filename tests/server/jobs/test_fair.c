@@ -40,7 +40,6 @@ static void test_turns(void **state)
 {
     struct thing x[THINGS];
     struct fair_queue *q = NULL;
-    (void)state;
     for (int newest = 0; newest < 2; newest++) {
         begin(newest, x, &q);
         assert_int_equal(taken(q), -1);
@@ -69,7 +68,6 @@ static void test_parts_of_time(void **state)
     static struct thing cheap[CHEAP], dear[THINGS];
     struct fair_queue *q = NULL;
     struct err e = {0};
-    (void)state;
     kit_ok(fair_queue_open(false, &q, &e), e);
     for (int i = 0; i < THINGS; i++) {
         dear[i] = (struct thing){.number = 1000 + i};
@@ -126,7 +124,6 @@ static void test_who_gives_way(void **state)
 {
     struct thing x[THINGS];
     struct fair_queue *q = NULL;
-    (void)state;
     for (int newest = 0; newest < 2; newest++) {
         begin(newest, x, &q);
         fair_queue_add(q, &x[0].place, 1, 1);
@@ -164,7 +161,6 @@ static void test_very_many_clients(void **state)
     struct fair_queue *q = NULL;
     struct err e = {0};
     uint64_t sum = 0;
-    (void)state;
     assert_non_null(x);
     kit_ok(fair_queue_open(false, &q, &e), e);
     for (int i = 0; i < N; i++) {
@@ -186,7 +182,6 @@ static void test_rates(void **state)
     struct rate *r = NULL;
     struct err e = {0};
     int n = 0;
-    (void)state;
     kit_ok(rate_open(5, 10, &r, &e), e);
     while (!(rate_take(r, 1, 100) > 0))
         n++;
@@ -255,7 +250,6 @@ static void test_addresses(void **state)
     struct address_nets nets;
     struct err e = {0};
     const struct hash128 secret = {1, 2}, other = {1, 3};
-    (void)state;
     kit_ok(address_read_nets(trusted, &nets, &e), e);
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct address peer, want, got;
@@ -365,7 +359,6 @@ static void test_a_share_of_tiles(void **state)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    (void)state;
     kit_ok(file_join(path, t.dir, "fair.tiles", &e), e);
     served_city(path, "toy", 20000);
     t.paths[0] = path;
@@ -394,7 +387,6 @@ static void test_limited_rates(void **state)
     char target[160];
     struct reply r;
     int ok = 0, limited = 0;
-    (void)state;
     t.cfg.client_tiles_s = 2;
     t.cfg.trusted_proxy = "127.0.0.1";
     start();
@@ -432,7 +424,6 @@ static void test_networks(void **state)
     struct address a = {.ip = {0x20, 1, 0xd, 0xb8, 0, 1}},
                    other = {.ip = {0x20, 1, 0xd, 0xb8, 0, 2}};
     struct address v4;
-    (void)state;
     assert_true(address_parse("192.0.2.7", 9, &v4));
     kit_ok(ipv6_groups_open((struct hash128){4, 5}, &c, &e), e);
     a.ip[15] = other.ip[15] = 1;
@@ -503,7 +494,6 @@ static void test_idle_connections_give_way(void **state)
 {
     enum { LIMIT = 8, MORE = 5 };
     int fd[LIMIT + MORE], status;
-    (void)state;
     for (int all = 0; all < 2; all++) {
         *(all ? &t.cfg.max_connections : &t.cfg.per_ip_connections) = LIMIT;
         start();
@@ -528,7 +518,6 @@ static void test_slow_neighbours(void **state)
 {
     enum { LIMIT = 16, ASKED = 20 };
     int fd[2 * LIMIT];
-    (void)state;
     t.cfg.per_ip_connections = LIMIT;
     start();
     for (int i = 0; i < 2 * LIMIT; i++) {
@@ -569,7 +558,6 @@ static void test_too_many_connections_are_told(void **state)
 {
     enum { LIMIT = 8, TRIES = 20 };
     struct reply r;
-    (void)state;
     for (int all = 0; all < 2; all++) {
         *(all ? &t.cfg.max_connections : &t.cfg.per_ip_connections) = LIMIT;
         start();

@@ -226,7 +226,6 @@ static void submit(struct bench *b, int i, enum job_class cls, int number)
 static void test_identical_requests_share_a_run(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 2, false, 1, 8);
     for (int i = 0; i < WAITERS; i++)
         submit(&b, i, JOB_TILE, 7);
@@ -250,7 +249,6 @@ static void test_errors_reach_every_waiter(void **state)
     static const enum err_code errors[] = {ERR_FORMAT, ERR_MEM,   ERR_IO,
                                            ERR_DEVICE, ERR_LIMIT, ERR_BUSY};
     struct bench b;
-    (void)state;
     bench_open(&b, 2, false, 1, 8);
     for (size_t k = 0; k < sizeof errors / sizeof *errors; k++) {
         memset(b.c, 0, sizeof b.c);
@@ -281,7 +279,6 @@ static void test_the_wait_decides(void **state)
     enum { MANY = 50, DEAR = 20 };
     struct bench b;
     int refused = 0;
-    (void)state;
     bench_cost = item_cost;
     bench_open(&b, 1, false, 1, 1000);
     for (int i = 0; i < MANY; i++)
@@ -313,7 +310,6 @@ static void test_slow_work_leaves_a_thread(void **state)
     enum { THREADS = 3, SLOW = 6, TICK_MS = 100 };
     struct bench b;
     struct job_stats st;
-    (void)state;
     bench_cost = item_cost;
     bench_open(&b, THREADS, false, 1, 100);
     gate(&b, true);
@@ -351,7 +347,6 @@ static void test_long_work_waits_for_a_stream(void **state)
 {
     enum { TRIES = 30, LONG_MS = 150, LATER_MS = 10, SHORT = 7000, LONG = 9009 };
     bool held = false;
-    (void)state;
     bench_cost = item_cost;
     for (int i = 0; i < TRIES && !held; i++) {
         struct bench b;
@@ -384,7 +379,6 @@ static void test_several_draw(void **state)
     enum { DRAW = 2, LONG = 4, TICK_MS = 100 };
     struct bench b;
     struct job_stats st = {0};
-    (void)state;
     bench_cost = item_cost;
     bench_open(&b, 0, DRAW, 100, 100);
     submit(&b, 0, JOB_VIEW, 1000);
@@ -438,7 +432,6 @@ static void test_a_drawer_rests(void **state)
     enum { PICTURES = 6 };
     struct bench b;
     struct job_stats st;
-    (void)state;
     bench_rests = first_rests;
     bench_open(&b, 0, 2, 100, 100);
     for (int i = 0; i < PICTURES; i++)
@@ -459,7 +452,6 @@ static void test_failures_are_remembered(void **state)
 {
     struct bench b;
     struct client c = {0};
-    (void)state;
     bench_open(&b, 1, false, 1, 8);
     gate(&b, true);
     assert_int_equal(ask(&b, &c, JOB_TILE, item_new(&b, 1, ERR_FORMAT, false), 60), ERR_OK);
@@ -485,7 +477,6 @@ static void test_failures_are_remembered(void **state)
 static void test_a_full_queue_refuses(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 2, false, 1, 8);
     size_t accepted = 0, refused = 0;
     for (int i = 0; i < 2; i++)
@@ -509,7 +500,6 @@ static void test_a_full_queue_refuses(void **state)
 static void test_views_run_newest_first_and_shed_the_oldest(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, true, 3, 8);
     submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
@@ -533,7 +523,6 @@ static void test_views_run_newest_first_and_shed_the_oldest(void **state)
 static void test_views_take_turns_between_clients(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, true, 3, 8);
     submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
@@ -556,7 +545,6 @@ static void test_views_take_turns_between_clients(void **state)
 static void test_prefetch_runs_last_and_moves_up(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, false, 1, 8);
     submit(&b, 0, JOB_TILE, 0);
     await(&b, &b.runs, 1);
@@ -574,7 +562,6 @@ static void test_prefetch_runs_last_and_moves_up(void **state)
 static void test_pictures_ahead_are_drawn_last_and_move_up(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, true, 8, 8);
     submit(&b, 0, JOB_VIEW, 0);
     await(&b, &b.runs, 1);
@@ -593,7 +580,6 @@ static void test_leaving(void **state)
 {
     struct bench b;
     struct job_stats st;
-    (void)state;
     bench_open(&b, 1, true, 4, 8);
     /* a running picture is told to stop when its last client leaves, not before */
     assert_int_equal(ask(&b, &b.c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
@@ -634,7 +620,6 @@ static void test_passing_work_is_cancelled(void **state)
 {
     struct bench b;
     struct job_stats st;
-    (void)state;
     bench_passing = item_passing;
     bench_open(&b, 1, true, 4, 8);
     bench_passing = NULL;
@@ -658,7 +643,6 @@ static void test_passing_work_is_cancelled(void **state)
 static void test_a_cancelled_view_is_not_shared(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, true, 4, 8);
     gate(&b, true);
     assert_int_equal(ask(&b, &b.c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
@@ -673,7 +657,6 @@ static void test_a_cancelled_view_is_not_shared(void **state)
 static void test_deadlines(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, false, 1, 8);
     assert_int_equal(ask(&b, &b.c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 5), ERR_OK);
     await(&b, &b.runs, 1);
@@ -695,7 +678,6 @@ static void test_deadlines(void **state)
 static void test_stopping_answers_everyone(void **state)
 {
     struct bench b;
-    (void)state;
     bench_open(&b, 1, true, 4, 16);
     assert_int_equal(ask(&b, &b.c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
     await(&b, &b.runs, 1);
@@ -719,7 +701,6 @@ static void test_a_device_that_hangs(void **state)
 {
     struct bench b;
     struct err e = {0};
-    (void)state;
     bench_open(&b, 1, false, 4, 8); /* for its locks */
     assert_true(job_close(&b.jobs));
     const struct job_config cfg = {.tile_threads = 1,
@@ -787,7 +768,6 @@ static void test_storm(void **state)
     enum { THREADS = 4, EACH = 500 };
     struct bench b;
     struct err e = {0};
-    (void)state;
     struct client *c = mem_array(THREADS * EACH, sizeof *c);
     assert_non_null(c);
     bench_open(&b, 2, true, 4, 16);

@@ -37,7 +37,6 @@ static void test_sizes(void **state)
                 {"-1G", 0},           {"512MB", 0},        {"", 0},
                 {"half", 0},          {"1e99", 0},         {"nan", 0},
                 {"1000", 0}};
-    (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         check_size(rows[i].text, rows[i].want);
 }
@@ -57,7 +56,6 @@ static void test_groups(void **state)
                                        "one", "one/memory", "one/memory/x"};
     struct err e = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], two[FILE_PATH_MAX], one[FILE_PATH_MAX];
-    (void)state;
     kit_tmpdir(dir);
     for (size_t i = 0; i < sizeof dirs / sizeof *dirs; i++) {
         kit_ok(file_join(path, dir, dirs[i], &e), e);
@@ -150,7 +148,6 @@ static void check_budget(size_t mb, bool draws, size_t *said, struct memory_plan
 static void test_shares(void **state)
 {
     struct memory_plan last = {0};
-    (void)state;
     for (int draws = 0; draws < 2; draws++) {
         size_t said = 0;
         last = (struct memory_plan){0};
@@ -171,7 +168,6 @@ static void test_overrides(void **state)
     struct err e = {0};
     struct memory_plan p;
     struct memory_needs n = needs(1000);
-    (void)state;
     n.cache = 300u * MB;
     n.inflight = 50u * MB;
     n.view_cache = 60u * MB;
@@ -193,7 +189,6 @@ static void test_lowered(void **state)
     struct err e = {0};
     struct memory_plan p;
     struct memory_needs n = needs(400);
-    (void)state;
     n.workers = 16;
     kit_ok(memory_plan(&n, &p, &e), e);
     assert_true(p.workers < 16 && p.workers >= 1);
@@ -209,7 +204,6 @@ static void test_drawers(void **state)
     struct memory_plan p, one;
     struct memory_needs n = needs(400);
     unsigned last = 1;
-    (void)state;
     n.drawers = 4;
     for (size_t mb = 400; mb <= 8000; mb += 100) {
         n.budget = mb * MB;
@@ -246,7 +240,6 @@ static void test_too_small(void **state)
 {
     struct err e = {0};
     char least[32];
-    (void)state;
     t.cfg.cache_mb = 0;
     t.cfg.memory = "8M";
     kit_fails(server_start(&t.cfg, t.paths, 1, &t.server, &e), ERR_LIMIT, e, "give --memory ");
@@ -267,7 +260,6 @@ static void test_yields(void **state)
     char target[128];
     struct reply r;
     struct cache_stats before, after;
-    (void)state;
     t.cfg.memory = "4G";
     start();
     struct services *s = server_services(t.server);
@@ -294,7 +286,6 @@ static void test_makes_room(void **state)
 {
     char target[128];
     struct cache_stats after;
-    (void)state;
     start();
     struct services *s = server_services(t.server);
     assert_int_equal(status_of("GET", tile_target(16, "ply", target), ""), 200);
@@ -310,7 +301,6 @@ static void test_makes_room(void **state)
 /* Memory that runs out: 503 with Retry-After, /readyz says memory, not damage. */
 static void test_short(void **state)
 {
-    (void)state;
     start();
     struct services *s = server_services(t.server);
     expect_body("/readyz", "\"ready\"", true);

@@ -97,12 +97,6 @@ function signedUrl(dir, url, name = "fcity") {
     return run.stdout.trim().replace(/\/$/, "");
 }
 
-// A server whose data sets are private: urls has the address that opens each.
-export async function serveSigned(dir, files, names) {
-    const server = await serve(...files, ...privateOptions(dir));
-    return { ...server, urls: Object.fromEntries(names.map((name) => [name, signedUrl(dir, server.url, name)])) };
-}
-
 // { url, city, dir, close, said }: a running server; city tells whether it holds the test city, in tiles of
 // edgeM; dir has it as city.tiles. signed: the city is private, and url is a signed address. gaussians: others than its own.
 export async function openSource({ edgeM, signed = false, gaussians, antialiased } = {}) {

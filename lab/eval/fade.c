@@ -6,7 +6,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "lod/choose/fade.h"
+#include "lab/eval/fade.h"
 
 #include <math.h>
 #include <string.h>

@@ -3,8 +3,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef SURVEY_EDGE_H
-#define SURVEY_EDGE_H
+#ifndef LAB_EDGE_H
+#define LAB_EDGE_H
 
 #include <stddef.h>
 

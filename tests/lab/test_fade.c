@@ -8,7 +8,7 @@
 #include <jansson.h>
 
 #include "core/base.h"
-#include "lod/choose/fade.h"
+#include "lab/eval/fade.h"
 #include "lod/store/tree.h"
 
 enum { TILES_MAX = 8 };
@@ -23,7 +23,6 @@ static json_t *vectors(void)
 
 static void the_curve(void **state)
 {
-    (void)state;
     json_t *root = vectors(), *row;
     size_t i;
     json_array_foreach(json_object_get(root, "curve"), i, row)
@@ -75,7 +74,6 @@ static void check_step(struct fade *f, const json_t *step, const char *what, siz
 
 static void the_rule(void **state)
 {
-    (void)state;
     struct err e = {0};
     json_t *root = vectors(), *c, *step;
     size_t i, k;

@@ -8,8 +8,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef LOD_FADE_H
-#define LOD_FADE_H
+#ifndef LAB_FADE_H
+#define LAB_FADE_H
 
 #include <stdbool.h>
 #include <stddef.h>

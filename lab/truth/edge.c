@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "survey/edge.h"
+#include "lab/truth/edge.h"
 
 #include <math.h>
 #include <stdbool.h>
