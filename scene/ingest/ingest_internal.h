@@ -168,6 +168,10 @@ void ingest_drone_check(const struct sim3 *sim, struct ingest_gimbal *io);
 /* ingest_scene.c: makes images, points and tracks of the scene from what was kept; fills `kept` and
  * `views`. ERR_MEM. */
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e) ERR_USE;
+/* ingest_split.c: a test photograph of which less than 65 % of its ground, taken as a plane at the
+ * median height of the points, is shown by two that train gives its place to a neighbour in order
+ * (at most seven away) that is covered better. ERR_MEM. */
+enum err_code ingest_split_cover(struct scene *s, struct err *e) ERR_USE;
 
 /* ingest_points.c: removes sparse points that are not on a surface, with their observations.
  * count[] gives the numbers by reason. ERR_MEM. */

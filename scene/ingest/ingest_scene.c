@@ -204,5 +204,7 @@ enum err_code ingest_scene_fill(struct ingest *g, struct err *e)
     enum err_code rc = scene_fill_images(g, e);
     if (!rc && g->cfg->test_block > 0.0)
         rc = scene_hold_block(&g->scene, g->cfg->test_block, e);
-    return !rc ? scene_fill_points(g, e) : rc;
+    if (!rc)
+        rc = scene_fill_points(g, e);
+    return rc || g->cfg->test_block > 0.0 ? rc : ingest_split_cover(&g->scene, e);
 }
