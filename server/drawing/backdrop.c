@@ -213,7 +213,7 @@ static enum err_code backdrop_ground(const double size[3], const float *rgb,
         for (int x = 0; x < SIDE; x++) {
             const float *from = backdrop_cell(values, SIDE, x, y);
             const double own = 1 - backdrop_mean_share(x, y);
-            const double far = inside[(SIDE - 1 - y) * SIDE + x];
+            const double far = (double)inside[(SIDE - 1 - y) * SIDE + x];
             for (int a = 0; a < 3; a++) {
                 const double color = out->ground[a] + own * ((double)from[a] - out->ground[a]);
                 out->near[y][x][a] = (float)fmin(fmax(color, 0), 1);
