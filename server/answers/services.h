@@ -56,8 +56,7 @@ struct services { /* all are shared and thread-safe */
     /* clock_s() of the last answer that was refused for want of memory, in ms; 0: none yet */
     _Atomic uint64_t short_ms;
     struct metrics metrics;
-    struct body *landing, *conformance, *api, *api_page,
-        *matrices;                       /* documents that never change */
+    struct body *landing, *conformance, *api, *api_page; /* documents that never change */
     _Atomic bool draining, reload_asked; /* reload_asked: by a signal, or as a store was replaced */
     _Atomic uint64_t reloads_begun;      /* by requests: names the next one */
     double start_s;
