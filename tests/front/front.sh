@@ -109,6 +109,8 @@ check_first_tile() { # through the cache at $url; leaves its path in $tile
     tile=$(tiles | head -1)
     check 'a cold tile is a miss' is "$(header "$url$tile" X-Cache)" MISS
     check 'then it is a hit' is "$(header "$url$tile" X-Cache)" HIT
+    header "$url${tile%%\?*}" X-Cache >/dev/null
+    check 'the ?v= that CesiumJS adds is no other file' is "$(header "$url${tile%%\?*}?v=0123456789ab" X-Cache)" HIT
     check 'its bytes are those of a server' cmp <(curl -s "$url$tile") <(curl -s "http://127.0.0.1:${ports[1]}$tile")
     check 'a range of it' cmp <(curl -s -r 100-299 "$url$tile") <(curl -s "$url$tile" | tail -c +101 | head -c 200)
     check 'a range is 206' is "$(status -r 100-299 "$url$tile")" 206
