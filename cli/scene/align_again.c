@@ -55,8 +55,8 @@ static bool align_again_afford(struct align *a, const struct align_plan *part,
                                                       a->forecast.features, pace.slow),
                           rest = {.model_s = first.model_s * (1 - (double)part->n_usable /
                                                                       (double)a->plan.n_usable)};
-    double left_s =
-        60 * a->o->minutes - align_plan_clock_s(&first, &pace) - align_plan_clock_s(&rest, &pace);
+    double spent_s = fmin(align_sum(a, "seconds"), align_plan_clock_s(&first, &pace));
+    double left_s = 60 * a->o->minutes - spent_s - align_plan_clock_s(&rest, &pace);
     if (was) { /* of a run that was killed */
         *out = (struct align_forecast){
             .edge_px = (uint32_t)json_integer_value(json_object_get(was, "edge_px")),
