@@ -40,21 +40,27 @@ static double split_apart2(const double a[3], const double b[3])
     return x * x + y * y + z * z;
 }
 
-/* Is the place shown by two photographs that train, other than photograph i? */
+/* Does photograph k train, and show the place from not too far away? k may be no photograph. */
+static bool split_shows(const struct scene *s, size_t k, const double place[3], double most2)
+{
+    double eye[3];
+    if (k >= s->n_images || s->images[k].split == SCENE_TEST)
+        return false;
+    camera_center(&s->images[k].cam, eye);
+    return split_apart2(eye, place) <= most2 && camera_frames(&s->images[k].cam, place, 0.0, NULL);
+}
+
+/* Is the place shown by two photographs that train, other than photograph i? Neighbours in order
+ * are asked first: they mostly do. */
 static bool split_is_shown(const struct scene *s, size_t i, const double place[3])
 {
-    double eye[3], other[3];
-    size_t n = 0;
+    double eye[3];
+    int n = 0;
     camera_center(&s->images[i].cam, eye);
     double most2 = split_far * split_far * split_apart2(eye, place);
-    for (size_t k = 0; k < s->n_images && n < SPLIT_OTHERS; k++) {
-        if (k == i || s->images[k].split == SCENE_TEST)
-            continue;
-        camera_center(&s->images[k].cam, other);
-        n += split_apart2(other, place) <= most2 &&
-             camera_frames(&s->images[k].cam, place, 0.0, NULL);
-    }
-    return n == SPLIT_OTHERS;
+    for (size_t step = 1; step < s->n_images && n < SPLIT_OTHERS; step++)
+        n += split_shows(s, i + step, place, most2) + split_shows(s, i - step, place, most2);
+    return n >= SPLIT_OTHERS;
 }
 
 /* The part of a photograph's ground that others show; 1 where it shows none. */
