@@ -72,8 +72,8 @@ struct align_pace {
     double slow; /* processor seconds of a piece of work, relative to the usual machine */
     double load; /* seconds by the clock, relative to those without other programs; at least 1 */
 };
-/* The pace by which sizes are chosen, so that a folder has the same poses whatever else the machine
- * does: no load, and the usual machine unless this one is much slower or faster (four times). */
+/* The pace by which sizes are chosen, so that other programs do not change them: no load, and the
+ * usual machine unless this one is four times slower or faster. */
 struct align_pace align_plan_pace(const struct align_pace *measured);
 /* Forecasts the processor seconds of the stages. They hardly depend on other programs. */
 struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t edge_px,

@@ -105,7 +105,7 @@ static size_t split_instead(struct scene *s, size_t i, double ground_m)
 
 enum err_code ingest_split_cover(struct scene *s, struct err *e)
 {
-    double *heights = mem_array(s->n_points + 1, sizeof *heights);
+    double *heights = mem_array(s->n_points, sizeof *heights);
     size_t n = 0, moved = 0;
     bool *asked = mem_array(s->n_images, sizeof *asked);
     if (!heights || !asked) {
