@@ -83,7 +83,5 @@ double ref_depth(const struct ref_splat *s, const double d[2]);
  * there. d = mean - pixel. *clamped: alpha was cut to LAYOUT_ALPHA_MAX. */
 bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,
                bool *clamped);
-/* Basis of real spherical harmonics up to `degree`, with INRIA's signs. dir has length 1. */
-void ref_sh_basis(const double dir[3], uint32_t degree, double out[LAYOUT_SH_MAX]);
 
 #endif

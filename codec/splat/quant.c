@@ -14,6 +14,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/splat/quant.h"
+#include "codec/splat/quant_look.h"
 #include "core/base.h"
 
 #include <math.h>
@@ -35,9 +36,9 @@ static const struct {
     struct quant_grid grid;
 } presets[QUANT_PRESETS] = {
 #define PRESET(id, name, about, position, scale, rotation, alpha, color, sh1, sh2, sh3, embed,     \
-               degree)                                                                             \
-    [QUANT_##                                                                                      \
-        id] = {name, {position, scale, rotation, alpha, color, {sh1, sh2, sh3}, embed, degree}},
+               degree, look)                                                                       \
+    [QUANT_##id] = {                                                                               \
+        name, {position, scale, rotation, alpha, color, {sh1, sh2, sh3}, embed, degree, look}},
 #include "codec/splat/presets.def"
 #undef PRESET
 };
@@ -254,6 +255,22 @@ static enum err_code quant_check_rows(const struct gauss *g, struct err *e)
                    zero ? "rotation quaternion is zero" : "not a finite number");
 }
 
+static float quant_area(const float ln[3])
+{
+    return expf(ln[0] + ln[1]) + expf(ln[0] + ln[2]) + expf(ln[1] + ln[2]);
+}
+
+/* The opacity with which the rounded sizes cover as much as the trained ones did. */
+static float quant_same_mass(float opacity, const float scale_log[3], const uint8_t scale[3])
+{
+    float trained[3], rounded[3];
+    for (int c = 0; c < 3; c++) {
+        trained[c] = fminf(fmaxf(scale_log[c], -10), 255 / 16.0f - 10);
+        rounded[c] = (float)scale[c] / 16 - 10;
+    }
+    return fminf(opacity * quant_area(trained) / quant_area(rounded), 1);
+}
+
 enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
                                const struct quant_grid *grid, struct quant *out, struct err *e)
 {
@@ -278,14 +295,21 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
     quant_positions(g->mean_m, 3 * n, ldexpf(1, (int)out->frac_bits - shift), shift, out->position);
     quant_bytes(g->scale_log, 3 * n, 16, 160, grid->scale, out->scale);
     for (size_t i = 0; i < n; i++) {
-        out->alpha[i] =
-            quant_byte_at(255 / (1 + expf(-g->opacity_logit[i])), alpha_step, grid->alpha);
-        out->rotation[i] = quant_largest_three(g->quat_wxyz + 4 * i, grid->rotation);
+        float quat[4], opacity = 1 / (1 + expf(-g->opacity_logit[i]));
+        memcpy(quat, g->quat_wxyz + 4 * i, sizeof quat);
+        if (grid->look) {
+            opacity = quant_same_mass(opacity, g->scale_log + 3 * i, out->scale + 3 * i);
+            quant_look_turn(quat, out->scale + 3 * i);
+        }
+        out->alpha[i] = quant_byte_at(255 * opacity, alpha_step, grid->alpha);
+        out->rotation[i] = quant_largest_three(quat, grid->rotation);
         for (size_t c = 0; c < 3; c++)
             out->color[3 * i + c] = quant_byte_at(g->sh[k * i + c] * (COLOR_SCALE * 255) + 127.5f,
                                                   color_step, grid->color);
     }
     quant_sh(g, grid->sh, out);
+    if (grid->look)
+        quant_look_colors(g, grid, out);
     quant_embed(g, grid->embed, out);
     return ERR_OK;
 }

@@ -23,10 +23,13 @@ struct quant_grid {
     /* number of low bits that are left out, 0..7 */
     uint8_t scale, rotation, alpha, color, sh[3], embed;
     uint8_t sh_degree; /* higher bands are dropped */
+    /* 0: every integer is the nearest one. 1: the rows look alike from above, but need not have the
+     * same axes and coefficients (quant_look.h); for clients that draw */
+    uint8_t look;
 };
 enum quant_preset {
 #define PRESET(id, name, about, position, scale, rotation, alpha, color, sh1, sh2, sh3, embed,     \
-               degree)                                                                             \
+               degree, look)                                                                       \
     QUANT_##id,
 #include "codec/splat/presets.def"
 #undef PRESET
@@ -61,7 +64,7 @@ struct quant { /* {0} is empty; all arrays are in one allocation */
 enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
 /* Quantises g. sh_degree may differ from that of g: missing bands become 0. grid NULL: that of
- * QUANT_SPZ. Rows keep their order; files are smaller when neighbours in space follow each other.
+ * QUANT_SPZ. A grid that looks alike takes y as up. Rows keep their order; files are smaller when neighbours in space follow each other.
  * frac_bits is 12; a finer grid raises it and a larger extent lowers it. ERR_DATA names a row that
  * is not finite or has no rotation. ERR_LIMIT names a row that is too far from the origin for
  * Gaussians of this size. ERR_MEM. */

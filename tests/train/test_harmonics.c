@@ -8,7 +8,7 @@
 #include "core/base.h"
 #include "core/layout.h"
 #include "core/splat/camera.h"
-#include "render/render_ref.h"
+#include "core/splat/sh.h"
 #include "tests/kit.h"
 #include "train/model/harmonics.h"
 
@@ -126,7 +126,7 @@ static double objective(const struct camera *cams, const double x[3], const doub
     for (size_t k = 0; k < CAMS; k++) {
         double dir[3], y[COUNT];
         direction(&cams[k], x, dir);
-        ref_sh_basis(dir, 3, y);
+        sh_basis(dir, 3, y);
         double off = dot(y, c) - dot(y, c0);
         sum += off * off;
     }
@@ -177,13 +177,13 @@ static void looks_alike_from_above_and_calm_from_the_side(void **state)
         place_of(t.params, i, x);
         for (size_t k = 0; k < CAMS; k++) {
             direction(&t.cams[k], x, dir);
-            ref_sh_basis(dir, 3, y);
+            sh_basis(dir, 3, y);
             above += pow(dot(y, c) - dot(y, c0), 2.0) / (N * CAMS);
             above_trained += pow(dot(y, c0) - y[0] * c0[0], 2.0) / (N * CAMS);
         }
         for (size_t k = 0; k < CAMS; k++) {
             const double level[3] = {cos(0.25 * (double)k), sin(0.25 * (double)k), 0.0};
-            ref_sh_basis(level, 3, y);
+            sh_basis(level, 3, y);
             side += pow(dot(y, c) - y[0] * c[0], 2.0) / (N * CAMS);
             side_trained += pow(dot(y, c0) - y[0] * c0[0], 2.0) / (N * CAMS);
         }

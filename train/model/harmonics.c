@@ -14,7 +14,7 @@
 #include "core/math/simd.h"
 #include "core/pool.h"
 #include "core/splat/camera.h"
-#include "render/render_ref.h"
+#include "core/splat/sh.h"
 #include "train/model/model.h"
 
 enum {
@@ -89,7 +89,7 @@ SIMD_INLINE void harmonics_gather(const struct harmonics_work *w, struct harmoni
             double own[LAYOUT_SH_MAX];
             if (!(in[l] > 0.0))
                 continue;
-            ref_sh_basis((const double[3]){dir[0][l], dir[1][l], dir[2][l]}, w->rule->degree, own);
+            sh_basis((const double[3]){dir[0][l], dir[1][l], dir[2][l]}, w->rule->degree, own);
             for (size_t i = 0; i < f->count; i++)
                 y[i][l] = own[i];
         }
