@@ -1,7 +1,8 @@
 /* See quant_look.h.
  *
  * Colours: the error of a colour in direction d is sum_i e_i Y_i(d), e the errors of the
- * coefficients. Its mean square over directions is e' G e, G the mean of Y Y'. Seen from above
+ * coefficients. Its mean square over directions is e' G e, G the mean of Y Y'. A
+ * direction counts by the cosine to nadir, as flat ground fills pictures. Seen from above
  * alone, G is nearly singular: many sets of coefficients look alike, and the grid has one that
  * looks much more like the trained colour than the nearest integers do. With G = U' U and U upper
  * triangular, e' G e = sum_i U_ii^2 (e_i + sum_{j>i} U_ij / U_ii e_j)^2. So coefficients are
@@ -24,9 +25,9 @@
 enum { DOWN_STEPS = 16, ROUND_STEPS = 16 }; /* directions: cosines to nadir, and azimuths */
 /* Of directions from below, against those from above. It keeps G invertible, and errors bounded
  * where nobody is expected. */
-#define BELOW 0.02
-/* A harmonic of less than 0.7 steps is 0: half of the symbols' bits for a tenth more error. */
-#define DEAD 0.2f
+#define BELOW 0.06
+/* A harmonic of less than 0.5 + 0.3 steps is 0, and what it lacks goes into the others. */
+#define DEAD 0.3f
 #define COLOR_UNIT (1 / 255.0f / 0.15f) /* of an integer, in DC */
 #define SH_UNIT (1 / 128.0f)
 #define COLOR_MAX (0.5f / 0.15f) /* of DC; harmonics reach 1 */
@@ -87,7 +88,7 @@ static void look_push(size_t k, float push[LAYOUT_SH_MAX][LAYOUT_SH_MAX])
                      GAUSS_SH_DEGREE_MAX, y);
             for (size_t r = 0; r < k; r++)
                 for (size_t c = 0; c <= r; c++)
-                    g[r][c] += y[r] * y[c] / (DOWN_STEPS * ROUND_STEPS);
+                    g[r][c] += 2 * down * y[r] * y[c] / (DOWN_STEPS * ROUND_STEPS);
         }
     for (size_t r = 0; r < k; r++)
         g[r][r] += BELOW * GAUSS_SH_C0 * GAUSS_SH_C0;

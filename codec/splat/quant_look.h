@@ -17,8 +17,8 @@ struct quant_grid;
 void quant_look_turn(float quat_wxyz[4], uint8_t scale[3]);
 /* Writes q->color and q->sh, in glTF axes (y up), on the steps of the grid. What one coefficient is
  * rounded by, and what bands that q lacks would have shown, goes into the coefficients before it,
- * as far as it shows from above: the squared error of the colour, over all directions that look
- * down, is kept small. Small harmonics become 0. */
+ * as far as it shows from above: the squared error of the colour, over the directions that look
+ * down, weighted by the cosine to nadir, is kept small. Small harmonics become 0. */
 void quant_look_colors(const struct gauss *g, const struct quant_grid *grid, struct quant *q);
 
 #endif
