@@ -6,6 +6,7 @@
  *     rotation  index of the largest component << 30 | three 10-bit fields (sign, 9-bit magnitude)
  *     sh        round(128 c) + 128
  *
+ * Each is the nearest one, or, where a preset says so, one that looks alike (quant_look.h).
  * A preset leaves low bits out: its integers are multiples of 2^k, or the field's largest value.
  * Any SPZ reader accepts that, and entropy coders spend nothing on bits that are always 0.
  * Magnitude 0 has sign 0, because the signed integers of .drc have no negative zero. Source: the
@@ -307,9 +308,10 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
             out->color[3 * i + c] = quant_byte_at(g->sh[k * i + c] * (COLOR_SCALE * 255) + 127.5f,
                                                   color_step, grid->color);
     }
-    quant_sh(g, grid->sh, out);
     if (grid->look)
         quant_look_colors(g, grid, out);
+    else
+        quant_sh(g, grid->sh, out);
     quant_embed(g, grid->embed, out);
     return ERR_OK;
 }

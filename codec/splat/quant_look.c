@@ -1,14 +1,13 @@
 /* See quant_look.h.
  *
  * Colours: the error of a colour in direction d is sum_i e_i Y_i(d), e the errors of the
- * coefficients. Its mean square over directions is e' G e, G the mean of Y Y'. A
- * direction counts by the cosine to nadir, as flat ground fills pictures. Seen from above
- * alone, G is nearly singular: many sets of coefficients look alike, and the grid has one that
- * looks much more like the trained colour than the nearest integers do. With G = U' U and U upper
- * triangular, e' G e = sum_i U_ii^2 (e_i + sum_{j>i} U_ij / U_ii e_j)^2. So coefficients are
- * rounded from the last to the first, each about what makes its square 0 (Babai's nearest plane,
- * 1986). Red and blue are rounded about the green that is written, because files hold the
- * differences.
+ * coefficients. Its mean square over directions is e' G e, G the mean of Y Y'. A direction counts
+ * by the cosine to nadir, as flat ground fills pictures. Seen from above alone, G is nearly
+ * singular: many sets of coefficients look alike, and the grid has one that looks much more like
+ * the trained colour than the nearest integers do. With G = U' U and U upper triangular, e' G e =
+ * sum_i U_ii^2 (e_i + sum_{j>i} U_ij / U_ii e_j)^2. So coefficients are rounded from the last to
+ * the first, each about what makes its square 0 (Babai's nearest plane, 1986). Red and blue are
+ * rounded about the green that is written, because files hold the differences.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,8 +25,8 @@ enum { DOWN_STEPS = 16, ROUND_STEPS = 16 }; /* directions: cosines to nadir, and
 /* Of directions from below, against those from above. It keeps G invertible, and errors bounded
  * where nobody is expected. */
 #define BELOW 0.06
-/* A harmonic of less than 0.5 + 0.3 steps is 0, and what it lacks goes into the others. */
-#define DEAD 0.3f
+/* A harmonic of less than 0.5 + DEAD steps is 0, and what it lacks goes into the others. */
+#define DEAD 0.25f
 #define COLOR_UNIT (1 / 255.0f / 0.15f) /* of an integer, in DC */
 #define SH_UNIT (1 / 128.0f)
 #define COLOR_MAX (0.5f / 0.15f) /* of DC; harmonics reach 1 */
