@@ -309,7 +309,7 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
                                                   color_step, grid->color);
     }
     if (grid->look)
-        quant_look_colors(g, grid, out);
+        quant_look_colors(g, degree, grid->color, grid->sh, out->color, out->sh);
     else
         quant_sh(g, grid->sh, out);
     quant_embed(g, grid->embed, out);

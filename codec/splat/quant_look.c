@@ -16,7 +16,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "codec/splat/quant.h"
 #include "core/layout.h"
 #include "core/math/cholesky.h"
 #include "core/splat/sh.h"
@@ -134,19 +133,19 @@ static void look_channel(const struct look *l, const float *in, int about[LAYOUT
     }
 }
 
-void quant_look_colors(const struct gauss *g, const struct quant_grid *grid, struct quant *q)
+void quant_look_colors(const struct gauss *g, uint32_t sh_degree, unsigned color_bits,
+                       const uint8_t sh_bits[3], uint8_t *color, uint8_t *sh)
 {
-    struct look l = {.k_in = gauss_sh_count(g->sh_degree), .k_out = gauss_sh_count(q->sh_degree)};
+    struct look l = {.k_in = gauss_sh_count(g->sh_degree), .k_out = gauss_sh_count(sh_degree)};
     int zero[LAYOUT_SH_MAX];
     l.k = l.k_in > l.k_out ? l.k_in : l.k_out;
     look_push(l.k, l.push);
     for (size_t i = 0; i < LAYOUT_SH_MAX; i++) {
-        l.shift[i] = i == 0 ? grid->color : grid->sh[i < 4 ? 0 : i < 9 ? 1 : 2];
+        l.shift[i] = i == 0 ? (int)color_bits : sh_bits[i < 4 ? 0 : i < 9 ? 1 : 2];
         zero[i] = 128 >> l.shift[i];
     }
-    for (size_t row = 0; row < q->n; row++) {
+    for (size_t row = 0; row < g->n; row++, color += 3, sh += (l.k_out - 1) * 3) {
         const float *in = g->sh + row * l.k_in * 3;
-        uint8_t *color = q->color + row * 3, *sh = q->sh + row * (l.k_out - 1) * 3;
         int green[LAYOUT_SH_MAX], about[LAYOUT_SH_MAX];
         memcpy(green, zero, sizeof green);
         look_channel(&l, in + 1, green, color + 1, sh + 1);

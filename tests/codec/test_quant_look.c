@@ -63,8 +63,8 @@ static void test_turned_ellipsoids_are_the_same(void **state)
     }
 }
 
-/* Sums over rows and channels of the colour's squared error, seen from above and from below, weighted by
- * the cosine to the vertical; and how many harmonics are not 0. */
+/* Sums over rows and channels of the colour's squared error, seen from above and from below,
+ * weighted by the cosine to the vertical; and how many harmonics are not 0. */
 struct seen {
     double above, below;
     size_t n_set;
