@@ -65,9 +65,9 @@ enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_
                           struct err *e) ERR_USE;
 /* Quantises g. sh_degree may differ from that of g: missing bands become 0. grid NULL: that of
  * QUANT_SPZ. A grid that looks alike takes y as up. Rows keep their order; files are smaller when
- * neighbours in space follow each other. frac_bits is 12; a finer grid raises it and a larger extent lowers it. ERR_DATA names a row that
- * is not finite or has no rotation. ERR_LIMIT names a row that is too far from the origin for
- * Gaussians of this size. ERR_MEM. */
+ * neighbours in space follow each other. frac_bits is 12; a finer grid raises it and a larger
+ * extent lowers it. ERR_DATA names a row that is not finite or has no rotation. ERR_LIMIT names a
+ * row that is too far from the origin for Gaussians of this size. ERR_MEM. */
 enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
                                const struct quant_grid *grid, struct quant *out,
                                struct err *e) ERR_USE;
