@@ -375,6 +375,7 @@ static void test_exif_odd_numbers(void **state)
         uint32_t ref_type, ref, alt_type, alt[2];
         bool place, ellipsoidal, odd;
         double lat_deg, lon_deg, alt_m;
+        bool no_letter;
     } cases[] = {
         /* both say south and west */
         GPS('S', 'W', SRATIONAL, 1, GPS((uint32_t)-338600000, 10000000), GPS(-706500000, 10000000),
@@ -383,7 +384,14 @@ static void test_exif_odd_numbers(void **state)
         GPS('N', 'E', SRATIONAL, 1, GPS(-3386, 100), GPS(-7065, 100), BYTE, 0, RATIONAL,
             GPS(520, 1), true, false, true, -33.86, -70.65, 520),
         GPS(0, 0, SRATIONAL, 1, GPS(-3386, 100), GPS(7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
-            true, false, false, -33.86, 70.65, 520),
+            true, false, false, -33.86, 70.65, 520, true),
+        /* neither does, or the letters are those of the other axis */
+        GPS(0, 0, SRATIONAL, 1, GPS(-3386, 100), GPS(-7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
+            true, false, false, -33.86, -70.65, 520),
+        GPS('N', 0, RATIONAL, 1, GPS(3386, 100), GPS(7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
+            true, false, false, 33.86, 70.65, 520, true),
+        GPS('E', 'N', RATIONAL, 1, GPS(3386, 100), GPS(7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
+            true, false, false, 33.86, 70.65, 520, true),
         /* the sign in each of the three, small letters */
         GPS('s', 'w', SRATIONAL, 3, GPS(-33, 1, -51, 1, -36, 1), GPS(-70, 1, -39, 1, 0, 1), BYTE, 0,
             RATIONAL, GPS(520, 1), true, false, false, -33.86, -70.65, 520),
@@ -414,9 +422,16 @@ static void test_exif_odd_numbers(void **state)
             false, false, 0, 0, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(91, 1), GPS(7, 1), BYTE, 0, RATIONAL, GPS(470, 1), false,
             false, false, 0, 0, 470),
-        /* longitudes to 360; 0, 0 and a numerator of all ones stand for unknown */
+        /* nor 61 minutes; 60 seconds are a minute that was rounded */
+        GPS('N', 'E', RATIONAL, 3, GPS(47, 1, 61, 1, 0, 1), GPS(7, 1, 0, 1, 0, 1), BYTE, 0,
+            RATIONAL, GPS(470, 1), false, false, false, 0, 0, 470),
+        GPS('N', 'E', RATIONAL, 3, GPS(47, 1, 29, 1, 60, 1), GPS(7, 1, 0, 1, 0, 1), BYTE, 0,
+            RATIONAL, GPS(470, 1), true, false, false, 47.5, 7, 470),
+        /* longitudes to 360, of either letter; 0, 0 and a numerator of all ones stand for unknown */
         GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
             false, false, 47, -7.25, 470),
+        GPS('N', 'W', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
+            false, false, 47, 7.25, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(0, 1), GPS(0, 1), BYTE, 0, RATIONAL, GPS(470, 1), false,
             false, false, 0, 0, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(7, 1), BYTE, 0, RATIONAL,
@@ -454,9 +469,39 @@ static void test_exif_odd_numbers(void **state)
             fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 ||
             got.has_altitude != isfinite(cases[i].alt_m) ||
             fabs(got.alt_m - cases[i].alt_m) > 1e-9 || got.ellipsoidal != cases[i].ellipsoidal ||
-            got.odd_sign != cases[i].odd)
-            fail_msg("case %zu: %d %.9f %.9f %.3f %d %d", i, got.has_position, got.lat_deg,
-                     got.lon_deg, got.alt_m, got.ellipsoidal, got.odd_sign);
+            got.odd_sign != cases[i].odd || got.no_letter != cases[i].no_letter)
+            fail_msg("case %zu: %d %.9f %.9f %.3f %d %d %d", i, got.has_position, got.lat_deg,
+                     got.lon_deg, got.alt_m, got.ellipsoidal, got.odd_sign, got.no_letter);
+    }
+}
+
+/* GPSMapDatum: what lies within metres of WGS 84, or says nothing, is no other datum. */
+static void test_exif_datum(void **state)
+{
+    static const struct {
+        const char *text;
+        bool far;
+    } cases[] = {{"WGS-84", false},  {"WGS84", false}, {"JGD2011", false}, {"", false},
+                 {"unknown", false}, {"TOKYO", true},  {"Tokyo", true},    {"NAD27", true}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct buf b = {0};
+        struct image_gps got;
+        const size_t n = strlen(cases[i].text) + 1;
+        char text[8] = "";
+        memcpy(text, cases[i].text, n);
+        buf_add(&b, "MM\0*", 4);
+        be32(&b, 8);
+        be16(&b, 1);
+        be_entry(&b, 0x8825, 4, 1, 26);
+        be32(&b, 0);
+        be16(&b, 1);
+        be_entry(&b, 0x12, 2, (uint32_t)n, n > 4 ? 44 : 0);
+        be32(&b, 0);
+        buf_add(&b, text, sizeof text);
+        exif_parse(b.data, b.size, &got, NULL);
+        if (got.far_datum != cases[i].far)
+            fail_msg("'%s'", cases[i].text);
+        buf_free(&b);
     }
 }
 
@@ -608,6 +653,7 @@ int main(void)
         cmocka_unit_test(test_no_exif),
         cmocka_unit_test(test_exif_big_endian_decimal_degrees),
         cmocka_unit_test(test_exif_odd_numbers),
+        cmocka_unit_test(test_exif_datum),
         cmocka_unit_test(test_exif_survives_flips),
         cmocka_unit_test(test_bad_files),
         cmocka_unit_test(test_truncated),
