@@ -502,7 +502,7 @@ static void nonsense_is_refused(void **state)
         const char *name, *text, *says;
     } bad[] = {
         {"a.csv", "image,lon,lat\n", "no column for z"},
-        {"b.csv", "image,lon,lat,z\na.jpg,7,48\n", "line 2: field 4"},
+        {"b.csv", "image,lon,lat,z\na.jpg,7,48\n", "line 2: z (or height) is missing"},
         {"c.csv", "image,lon,lat,z\na.jpg,7,5,47,5,300\n", "decimal commas"},
         {"d.csv", "image;lon;lat;z\na.jpg;7,5,1;47.5;300\n", "decimal point"},
         {"e.csv", "image,lon,lat,z\n", "no positions"},
