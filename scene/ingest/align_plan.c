@@ -468,11 +468,11 @@ enum err_code align_plan_pairs(struct align_plan *p, size_t neighbours, size_t n
 
 /* ---- a forecast ---- */
 
-/* Core seconds of COLMAP 3.8 on a core of about 2.5 GHz: a megapixel of SIFT and a feature; two
- * pictures that are compared, by the square of thousands of features; a photograph in the mapper,
- * by thousands of features. */
-static const double megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.04, pair_square_s = 0.06,
-                    model_s = 0.9, model_cores = 1.5, look_pairs = 0.4;
+/* Core seconds of COLMAP 3.8 on a core of about 2.5 GHz: a megapixel of a photograph to read; one
+ * of SIFT, and a feature; two pictures that are compared, by the square of thousands of features; a
+ * photograph in the mapper, by thousands of features. */
+static const double read_s = 0.1, megapixel_s = 0.35, feature_s = 0.0003, pair_s = 0.15,
+                    pair_square_s = 0.055, model_s = 0.9, model_cores = 1.5, look_pairs = 0.4;
 static const double pace_other = 4;
 enum { FEATURES_A_MEGAPIXEL = 6000 };
 
@@ -485,12 +485,12 @@ struct align_forecast align_plan_forecast(const struct align_plan *p, uint32_t e
             longest = fmax(longest, fmax(p->photos[i].width_px, p->photos[i].height_px));
     double shrink = fmin(1, edge_px / longest), mp = p->megapixels * shrink * shrink,
            n = (double)p->n_usable, f = fmin(features, mp * FEATURES_A_MEGAPIXEL), k = f / 1000;
-    return (struct align_forecast){.edge_px = edge_px,
-                                   .features = features,
-                                   .features_s = n * (mp * megapixel_s + f * feature_s) * slow,
-                                   .matches_s =
-                                       (double)p->n_pairs * (pair_s + k * k * pair_square_s) * slow,
-                                   .model_s = n * (0.2 + k) * model_s * slow};
+    return (struct align_forecast){
+        .edge_px = edge_px,
+        .features = features,
+        .features_s = n * (p->megapixels * read_s + mp * megapixel_s + f * feature_s) * slow,
+        .matches_s = (double)p->n_pairs * (pair_s + k * k * pair_square_s) * slow,
+        .model_s = n * (0.2 + k) * model_s * slow};
 }
 
 double align_plan_look_s(const struct align_plan *p, double slow)

@@ -202,6 +202,22 @@ INLINE V tile_cost(const struct tile_best *t, int at, uint best)
     return best_cost(LOAD(t->first + at), LOAD(t->second + at), LOAD(t->third + at), best);
 }
 
+// Whether a neighbour shows nothing of a tile: its corners all lie beyond one of its edges.
+static bool tile_is_beside(const float *h, int width, int height, int x0, int y0)
+{
+    int beyond = 15;
+    for (int k = 0; k < 4; k++) {
+        float x = (float)(x0 + (k & 1) * TILE_W), y = (float)(y0 + (k >> 1) * TILE_H),
+              q = h[6] * x + h[7] * y + h[8], u = h[0] * x + h[1] * y + h[2],
+              v = h[3] * x + h[4] * y + h[5];
+        if (!(q > 0.0f))
+            return false;
+        beyond &= (u < 0.0f) | (v < 0.0f) << 1 | (u > q * (float)width) << 2 |
+                  (v > q * (float)height) << 3;
+    }
+    return beyond;
+}
+
 // quads: pictures of the neighbours; sizes [n_near]: width, height, first pixel of each.
 // homography [planes][n_near][9], of a tile `each` behind that of the tile before. Where each is
 // not 0, a tile has its own planes, and costs of others are not written.
@@ -236,6 +252,8 @@ __kernel void sweep_cost(__global const uchar *ref, __global const uint *quads,
             for (int i = 0; i < 9; i++)
                 h[i] = homography[tile * each + (p * n_near + k) * 9 + i];
             int w = (int)sizes[3 * k], n = (int)sizes[3 * k + 1];
+            if (tile_is_beside(h, w, n, x0, y0))
+                continue;
             tile_warp(quads + sizes[3 * k + 2], w, n, h, x0, y0, there);
             tile_score(here, &own, there, h, w, n, x0, y0, &t);
         }

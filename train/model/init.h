@@ -37,12 +37,12 @@ struct init_input { /* all borrowed */
     uint64_t seed;
 };
 /* Makes Gaussians at the scene's points; for a cell of a plan, at the points that its photographs
- * see. The size comes from the three nearest neighbours, the opacity is 0.1. If there are more
- * points than `limit`, a random subset is used. If there are none, 100 places in front of the
- * cameras are used. Each grid cell of the ground that a photograph sees and that has no point gets
- * a Gaussian, with the height of its neighbours and the colour of the nearest point. The origin is
- * the mean of the points. Free *out with gauss_free. ERR_MEM. ERR_LIMIT: more points than knn_build
- * accepts. */
+ * see. The size is 0.7 of the distance to the three nearest neighbours (root mean square), the
+ * opacity 0.5. If there are more points than `limit`, a random subset is used. If there are none,
+ * 100 places in front of the cameras are used. Each grid cell of the ground that a photograph sees
+ * and that has no point gets a Gaussian, with the height of its neighbours and the colour of the
+ * nearest point. The origin is the mean of the points. Free *out with gauss_free. ERR_MEM.
+ * ERR_LIMIT: more points than knn_build accepts. */
 enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct err *e) ERR_USE;
 /* The number of points that init_gauss would use without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
