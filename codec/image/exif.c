@@ -201,8 +201,9 @@ static int exif_ifd_letter(const struct tiff *t, uint32_t ifd, unsigned tag)
 }
 
 /* Degrees, minutes and seconds. A fraction of one that the next repeats counts once. Minutes and
- * seconds that are missing or n/0 are 0; more than 60 are no angle. South and west are what either the
- * letter or a sign says. odd_sign: the letter says the other hemisphere. no_letter: none says it. */
+ * seconds that are missing or n/0 are 0; more than 60 are no angle. South and west are what either
+ * the letter or a sign says. odd_sign: the letter says the other hemisphere. no_letter: none says
+ * it. */
 static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, const char letters[2],
                            double *out, struct image_gps *g)
 {

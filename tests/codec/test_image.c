@@ -427,7 +427,7 @@ static void test_exif_odd_numbers(void **state)
             RATIONAL, GPS(470, 1), false, false, false, 0, 0, 470),
         GPS('N', 'E', RATIONAL, 3, GPS(47, 1, 29, 1, 60, 1), GPS(7, 1, 0, 1, 0, 1), BYTE, 0,
             RATIONAL, GPS(470, 1), true, false, false, 47.5, 7, 470),
-        /* longitudes to 360, of either letter; 0, 0 and a numerator of all ones stand for unknown */
+        /* longitudes to 360, either letter; 0, 0 and a numerator of all ones stand for unknown */
         GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
             false, false, 47, -7.25, 470),
         GPS('N', 'W', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
