@@ -130,11 +130,12 @@ static enum err_code import_find_place(const char *path, const struct import_opt
 /* ---- outliers ---- */
 
 /* A Gaussian so many times as far from the middle as half of them, and at least so far, is no part
- * of the city. One whose distance in median sigmas has more bits than a tile's positions makes
- * tiles that cannot be read. */
+ * of the city, nor is one whose standard deviation is so large. One whose distance in median sigmas
+ * has more bits than a tile's positions makes tiles that cannot be read. */
 #define IMPORT_FAR_TIMES 100.0
 #define IMPORT_FAR_LEAST_M 1000.0
 #define IMPORT_REACH_SIGMAS (double)(1 << 22)
+#define IMPORT_REACH_MOST_M 1e8 /* as stores have it */
 enum { IMPORT_NAMED = 5, IMPORT_SAMPLES = 16 };
 
 struct import_far {
@@ -150,6 +151,13 @@ static double import_far_m(const struct import_far *f, const struct gauss *g, si
     for (size_t k = 0; k < 3; k++)
         d[k] = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k] - f->middle[k];
     return hypot(hypot(d[0], d[1]), d[2]);
+}
+
+/* The largest standard deviation, in metres. */
+static double import_size_m(const struct gauss *g, size_t i)
+{
+    const float *s = g->scale_log + 3 * i;
+    return exp((double)fmaxf(s[0], fmaxf(s[1], s[2])));
 }
 
 /* The middle, and what is far from it, by a part or all of the Gaussians. */
@@ -173,7 +181,8 @@ static enum err_code import_far_find(const struct gauss *g, struct import_far *f
     for (size_t i = n = 0; i < 3 * g->n; i++)
         if (isfinite(g->scale_log[i]))
             v[n++] = (double)g->scale_log[i];
-    f->reach_m = fmax(f->limit_m, IMPORT_REACH_SIGMAS * exp(sort_median(v, n)));
+    f->reach_m =
+        fmin(IMPORT_REACH_MOST_M, fmax(f->limit_m, IMPORT_REACH_SIGMAS * exp(sort_median(v, n))));
     mem_free(v);
     return ERR_OK;
 }
@@ -184,14 +193,15 @@ static enum err_code import_far_check(struct import_far *f, size_t first, struct
 {
     size_t kept = 0;
     for (size_t i = 0; i < g->n; i++) {
-        const double m = import_far_m(f, g, i);
+        const double m = fmax(import_far_m(f, g, i), import_size_m(g, i));
         const bool far = isfinite(m) && m > f->limit_m;
         if (far && m > f->reach_m && !f->drop)
-            return err_set(e, ERR_DATA,
-                           "row %zu lies %.0f km from the middle, where half of the Gaussians lie "
-                           "within %.0f m: no tiles can hold both; leave such rows out by "
-                           "--drop-outliers",
-                           first + i, 1e-3 * m, f->limit_m / IMPORT_FAR_TIMES);
+            return err_set(
+                e, ERR_DATA,
+                "row %zu lies %.0f km from the middle, or is so large, where half of the "
+                "Gaussians lie within %.0f m: no tiles can hold both; leave such rows out by "
+                "--drop-outliers",
+                first + i, 1e-3 * m, f->limit_m / IMPORT_FAR_TIMES);
         if (far) {
             double most = atomic_load(&f->farthest_m);
             while (m > most && !atomic_compare_exchange_weak(&f->farthest_m, &most, m))
@@ -212,7 +222,9 @@ static enum err_code import_far_check(struct import_far *f, size_t first, struct
 static void import_far_tell(const struct import_far *f)
 {
     if (f->n)
-        log_warn("import", "%zu Gaussians lie more than %.0f m from the middle, up to %.6g km: %s",
+        log_warn("import",
+                 "%zu Gaussians lie more than %.0f m from the middle, or are so large, up to %.6g "
+                 "km: %s",
                  (size_t)f->n, f->limit_m, 1e-3 * f->farthest_m,
                  f->drop ? "left out" : "--drop-outliers leaves them out");
 }

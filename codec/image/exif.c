@@ -43,6 +43,7 @@ enum {
     TAG_GPS_ALT_REF = 5,
     TAG_GPS_ALT = 6,
     TAG_GPS_STATUS = 9,
+    TAG_GPS_DATUM = 0x12,
     TYPE_BYTE = 1,
     TYPE_ASCII = 2,
     TYPE_SHORT = 3,
@@ -200,10 +201,11 @@ static int exif_ifd_letter(const struct tiff *t, uint32_t ifd, unsigned tag)
 }
 
 /* Degrees, minutes and seconds. A fraction of one that the next repeats counts once. Minutes and
- * seconds that are missing or n/0 are 0. South and west are what either the letter or a sign says;
- * *odd: the letter says the other hemisphere. */
-static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, char negative,
-                           double *out, bool *odd)
+ * seconds that are missing or n/0 are 0; more than 60 are no angle. South and west are what either
+ * the letter or a sign says. odd_sign: the letter says the other hemisphere. no_letter: none says
+ * it. */
+static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, const char letters[2],
+                           double *out, struct image_gps *g)
 {
     struct field f;
     double part[3] = {0};
@@ -221,25 +223,43 @@ static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, cha
         part[2] = 0;
     const int letter = exif_ifd_letter(t, ifd, tag - 1);
     *out = part[0] + part[1] / 60 + part[2] / 3600;
-    *odd |= minus && letter && letter != (negative | 0x20);
-    if (minus || letter == (negative | 0x20))
+    g->odd_sign |= minus && letter && letter != letters[1];
+    g->no_letter |= !minus && letter != letters[0] && letter != letters[1];
+    if (minus || letter == letters[1])
         *out = -*out;
-    return true;
+    return part[1] <= 60 && part[2] <= 60;
 }
 
 /* Longitudes may count to 360. 0, 0 is what cameras write without a fix. */
 static void exif_position(const struct tiff *t, uint32_t gps, struct image_gps *out)
 {
     double lat, lon;
-    if (!exif_ifd_angle(t, gps, TAG_GPS_LAT, 'S', &lat, &out->odd_sign) ||
-        !exif_ifd_angle(t, gps, TAG_GPS_LON, 'W', &lon, &out->odd_sign))
+    if (!exif_ifd_angle(t, gps, TAG_GPS_LAT, "ns", &lat, out) ||
+        !exif_ifd_angle(t, gps, TAG_GPS_LON, "ew", &lon, out))
         return;
-    lon -= lon > 180 && lon <= 360 ? 360 : 0;
+    lon = fabs(lon) > 180 && fabs(lon) <= 360 ? remainder(lon, 360) : lon;
     if (fabs(lat) > 90 || fabs(lon) > 180 || (lat == 0 && lon == 0))
         return;
     out->has_position = true;
     out->lat_deg = lat;
     out->lon_deg = lon;
+}
+
+/* Is GPSMapDatum one of those that lie tens of metres and more from WGS 84? */
+static bool exif_far_datum(const struct tiff *t, uint32_t gps)
+{
+    static const char *const far[] = {"tokyo", "nad27",    "nad 27", "nad-27",  "ed50",
+                                      "ed 50", "european", "osgb",   "pulkovo", "agd"};
+    struct field f;
+    char low[32] = "";
+    if (!exif_ifd_find(t, gps, TAG_GPS_DATUM, &f) || f.type != TYPE_ASCII)
+        return false;
+    for (size_t i = 0; i < f.count && f.data[i] && i + 1 < sizeof low; i++)
+        low[i] = (char)(f.data[i] >= 'A' && f.data[i] <= 'Z' ? f.data[i] | 0x20 : f.data[i]);
+    for (size_t k = 0; k < sizeof far / sizeof *far; k++)
+        if (strstr(low, far[k]))
+            return true;
+    return false;
 }
 
 /* EXIF 3.0: 0 above, 1 below the sea; 2 above, 3 below the ellipsoid. Some write the digit. */
@@ -280,6 +300,7 @@ static void exif_blob(const uint8_t *p, size_t n, struct image_gps *out)
     exif_position(&t, gps, out);
     exif_altitude(&t, gps, out);
     out->interrupted = exif_ifd_letter(&t, gps, TAG_GPS_STATUS) == 'v';
+    out->far_datum = exif_far_datum(&t, gps);
 }
 
 /* ---- where EXIF and XMP are in a file ---- */

@@ -27,6 +27,8 @@ struct image_gps {
     bool ellipsoidal;                 /* EXIF says that alt_m counts from the ellipsoid */
     bool odd_sign;                    /* a sign and a hemisphere contradict each other */
     bool interrupted;                 /* EXIF says that measurement was interrupted */
+    bool no_letter;                   /* neither sign nor letter tells the hemisphere */
+    bool far_datum;                   /* EXIF names a datum that is metres from WGS 84 */
 };
 
 /* Reads the fields of a file, and what drones write into XMP: in the file or in a sidecar,

@@ -92,11 +92,13 @@ static enum err_code ply_columns_find(const struct ply_element *v, struct column
 static enum err_code ply_ascii_rows(const struct ply_head *h, const struct ply_element *v, size_t n,
                                     double **rows, struct err *e)
 {
-    bool lists = false;
+    bool lists = false, first = true;
     *rows = NULL;
+    for (size_t i = 0; &h->elements[i] != v; i++)
+        first = first && !h->elements[i].count;
     for (size_t i = 0; i < v->n_props; i++)
         lists = lists || v->props[i].type == PLY_LIST;
-    if (&h->elements[0] != v || lists)
+    if (!first || lists)
         return err_set(e, ERR_FORMAT,
                        "ply: in text form the vertices must come first and hold no lists");
     if (n > h->n_body / (2 * v->n_props) + 1)

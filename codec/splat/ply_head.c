@@ -166,7 +166,7 @@ static enum err_code head_place_rows(struct ply_head *h, struct err *e)
         struct ply_element *el = &h->elements[i];
         for (size_t k = 0; k < el->n_props; k++) {
             if (el->props[k].type == PLY_LIST)
-                known = false;
+                known = known && !el->count; /* an element without rows takes no room */
             else
                 el->row_bytes += types[el->props[k].type].bytes;
         }

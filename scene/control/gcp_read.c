@@ -272,9 +272,11 @@ static enum err_code gcp_sigma(const struct gcp_table *t, char *field[TABLE_FIEL
         return ERR_OK;
     if (table_number(field[i], out) && *out > 0)
         return ERR_OK;
-    return err_set(e, ERR_FORMAT,
-                   "%s: line %zu: field %zu, '%.40s', is no accuracy: a number above 0 is expected",
-                   t->path, t->line, i + 1, field[i]);
+    return err_set(
+        e, ERR_FORMAT,
+        "%s: line %zu: field %zu, '%.40s', is no accuracy: a number above 0 is expected, "
+        "or nothing where it is not known",
+        t->path, t->line, i + 1, field[i]);
 }
 
 /* Is this line a point alone, "x y z [name]", or CSV without a photograph? */
@@ -372,6 +374,9 @@ static enum err_code gcp_check_blanks(const struct gcp_table *t, char *field[TAB
     return ERR_OK;
 }
 
+/* No ground lies lower; -9999 and its like stand for unknown. */
+static const double lowest_m = -1000;
+
 static enum err_code gcp_row(struct table *lines, const struct gcp_table *t, char *text,
                              struct gcp_list *l, struct err *e)
 {
@@ -392,6 +397,11 @@ static enum err_code gcp_row(struct table *lines, const struct gcp_table *t, cha
                            t->comma ? "what the first line names"
                                     : "x y z column row photograph [name]");
     }
+    if (!alone && v[GCP_Z] < lowest_m)
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: the height is %g m, which stands for unknown: give it, or "
+                       "remove the point",
+                       t->path, t->line, v[GCP_Z]);
     if (bare)
         return gcp_bare_row(t, field, n, v, l, e);
     const char *image = t->column[GCP_IMAGE] < n ? field[t->column[GCP_IMAGE]] : "";
@@ -459,7 +469,7 @@ static bool gcp_is_comment(const char *line, bool bare)
     int epsg = 0;
     snprintf(copy, sizeof copy, "%s", line);
     if (*line != '#')
-        return false;
+        return !strncmp(line, "//", 2);
     const enum gcp_column lacks = gcp_columns(copy, &t, &epsg);
     return t.column[GCP_NAME] != 0 || (lacks <= GCP_Z && !gcp_has_marks_alone(&t));
 }

@@ -165,6 +165,8 @@ static bool positions_known(const char *field)
 struct positions_head {
     char comma;
     size_t column[COLUMNS], wide;
+    size_t enabled; /* Metashape's column of photographs that are switched on; SIZE_MAX: none */
+    size_t n_off;   /* rows of photographs that are not */
 };
 
 /* Metres and degrees: a heading with another unit would give silent nonsense. */
@@ -188,17 +190,24 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
     char *field[TABLE_FIELDS];
     h->comma = table_separator(line, positions_known);
     h->wide = table_split(line, h->comma, field);
+    h->enabled = SIZE_MAX;
     for (size_t c = 0; c < COLUMNS; c++)
         h->column[c] = SIZE_MAX;
     for (size_t i = 0; i < h->wide; i++) {
         int lonlat = 0;
-        enum column c = positions_column(field[i], &lonlat, p->heights);
-        p->epsg = p->epsg ? p->epsg : lonlat; /* a comment above may say it better */
-        enum err_code rc = c < COLUMNS ? positions_check_unit(t, field[i], e) : ERR_OK;
+        char heights[HEIGHTS_MAX] = "";
+        const enum column c = positions_column(field[i], &lonlat, heights);
+        if (!strncasecmp(field[i], "enable", 6) && h->enabled == SIZE_MAX)
+            h->enabled = i;
+        if (c == COLUMNS || h->column[c] != SIZE_MAX) /* of two the first counts */
+            continue;
+        const enum err_code rc = positions_check_unit(t, field[i], e);
         if (rc)
             return rc;
-        if (c < COLUMNS && h->column[c] == SIZE_MAX)
-            h->column[c] = i;
+        h->column[c] = i;
+        p->epsg = p->epsg ? p->epsg : lonlat; /* a comment above may say it better */
+        if (*heights)
+            memcpy(p->heights, heights, sizeof p->heights);
     }
     for (size_t c = COLUMN_IMAGE; c <= COLUMN_Z; c++)
         if (h->column[c] == SIZE_MAX)
@@ -238,7 +247,52 @@ static bool positions_nowhere(const struct positions_head *h, char *const field[
     return none == 3 || !height;
 }
 
-static enum err_code positions_csv_row(struct table *t, const struct positions_head *h, char *line,
+/* A standard deviation. What stands for unknown, or is not above 0, is 0. */
+static bool positions_sigma(const char *field, double *out)
+{
+    const double most_m = 1e4; /* more says no less */
+    char *end;
+    *out = 0;
+    if (positions_unknown(field))
+        return true;
+    const double v = strtod(field, &end);
+    *out = v > 0 ? fmin(v, most_m) : 0;
+    return end != field && !*end;
+}
+
+/* Numbers of a row. `wide` is how many fields it has. */
+static enum err_code positions_numbers(const struct table *t, const struct positions_head *h,
+                                       char *const field[TABLE_FIELDS], size_t wide,
+                                       double v[COLUMNS], struct err *e)
+{
+    static const char *const what[] = {"", "x (or lon)", "y (or lat)", "z (or height)"};
+    for (size_t c = COLUMN_X; c < COLUMNS; c++) {
+        const size_t i = h->column[c];
+        const bool there = i < wide && *field[i];
+        if (!there && c <= COLUMN_Z)
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: %s is missing: give it, or remove the line", t->path,
+                           t->line, what[c]);
+        if (there &&
+            !(c <= COLUMN_Z ? table_number(field[i], &v[c]) : positions_sigma(field[i], &v[c])))
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: field %zu, '%.40s', is no number: write %s", t->path,
+                           t->line, i + 1, field[i],
+                           strchr(field[i], ',') ? "it with a decimal point"
+                                                 : "metres, or decimal degrees that are negative "
+                                                   "in the south and west, without units");
+    }
+    return ERR_OK;
+}
+
+static bool positions_is_off(const struct positions_head *h, char *const field[TABLE_FIELDS],
+                             size_t n)
+{
+    return h->enabled < n &&
+           (!strcmp(field[h->enabled], "0") || !strcasecmp(field[h->enabled], "false"));
+}
+
+static enum err_code positions_csv_row(struct table *t, struct positions_head *h, char *line,
                                        struct positions *p, struct err *e)
 {
     char *field[TABLE_FIELDS];
@@ -263,14 +317,13 @@ static enum err_code positions_csv_row(struct table *t, const struct positions_h
         p->n_left_out++;
         return ERR_OK;
     }
-    for (size_t c = COLUMN_X; c < COLUMNS; c++) {
-        size_t i = h->column[c];
-        bool there = i < n && *field[i];
-        if (there ? !table_number(field[i], &v[c]) || (c > COLUMN_Z && v[c] < 0) : c <= COLUMN_Z)
-            return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu, '%.40s', is no number%s",
-                           t->path, t->line, i + 1, there ? field[i] : "",
-                           there && strchr(field[i], ',') ? ": write it with a decimal point" : "");
+    if (positions_is_off(h, field, n)) {
+        h->n_off++;
+        return ERR_OK;
     }
+    const enum err_code rc = positions_numbers(t, h, field, n, v, e);
+    if (rc)
+        return rc;
     const char *image = h->column[COLUMN_IMAGE] < n ? field[h->column[COLUMN_IMAGE]] : "";
     if (!*image || strlen(image) >= sizeof one.image)
         return err_set(e, ERR_FORMAT, "%s: line %zu: no photograph is named, or by over %d bytes",
@@ -296,20 +349,30 @@ static bool positions_is_heading(const char *line)
     return known >= 3;
 }
 
+/* Does a line name the coordinate system? EPSG:4979 is WGS 84 with heights. */
+static bool positions_take_system(const char *line, struct positions *p)
+{
+    const int with_heights = 4979;
+    int epsg, heights;
+    if (!wkt_system(line, &epsg, &heights))
+        return false;
+    p->epsg = epsg == with_heights ? POSITIONS_LONLAT : epsg;
+    if (heights)
+        snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
+    else if (epsg == with_heights)
+        snprintf(p->heights, sizeof p->heights, "ellipsoid");
+    return true;
+}
+
 /* Comments above the heading; one may name the coordinate system. */
 static enum err_code positions_comments(struct table *t, char *line, struct positions *p,
                                         struct err *e)
 {
     bool more = true;
-    int epsg, heights;
     enum err_code rc = ERR_OK;
     while (!rc && more && (*line == '#' || !strncmp(line, "//", 2)) &&
            !positions_is_heading(line)) {
-        if (wkt_system(line, &epsg, &heights)) {
-            p->epsg = epsg;
-            if (heights)
-                snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
-        }
+        (void)positions_take_system(line, p);
         rc = table_next(t, line, &more, e);
     }
     return !rc && !more ? err_set(e, ERR_DATA, "%s: no positions", t->path) : rc;
@@ -319,14 +382,10 @@ static enum err_code positions_comments(struct table *t, char *line, struct posi
  * are known three angles and the accuracies in plan and height. */
 static bool positions_geo_head(const char *line, struct positions *p, struct positions_head *h)
 {
-    int epsg, heights;
-    if (wkt_system(line, &epsg, &heights)) {
-        p->epsg = epsg;
-        if (heights)
-            snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
-    } else if (*line != '+') { /* a system by PROJ that has no code here */
+    if (!positions_take_system(line, p) &&
+        *line != '+') /* a system by PROJ may have no code here */
         return false;
-    }
+    h->enabled = SIZE_MAX;
     for (size_t c = 0; c < COLUMNS; c++)
         h->column[c] = c <= COLUMN_Z ? c : SIZE_MAX;
     h->column[COLUMN_PLAN] = 7;
@@ -348,6 +407,8 @@ static enum err_code positions_csv(struct table *t, char *line, struct positions
     if (!rc && p->n_left_out)
         log_warn("positions", "%s: %zu rows have no coordinates and are left out", t->path,
                  p->n_left_out);
+    if (!rc && h.n_off)
+        log_warn("positions", "%s: %zu rows are switched off and are left out", t->path, h.n_off);
     return rc;
 }
 

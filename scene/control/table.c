@@ -93,6 +93,8 @@ enum err_code table_open(const char *path, struct table *out, struct err *e)
     out->next = (char *)out->bytes->data;
     if (!strncmp(out->next, "\xef\xbb\xbf", 3)) /* the byte-order mark of UTF-8 */
         out->next += 3;
+    if (!strncasecmp(out->next, "sep=", 4) && out->next[4] && strchr("\r\n", out->next[5]))
+        out->next += 5; /* a spreadsheet's word on its separator, which the headings tell as well */
     return ERR_OK;
 }
 
@@ -144,6 +146,27 @@ char table_separator(const char *line, bool (*known)(const char *field))
     return best;
 }
 
+/* The quotation mark that closes the field that begins with one; NULL: none. A doubled one is part
+ * of the text. */
+static char *table_closing(char *field)
+{
+    char *p = strchr(field + 1, '"');
+    while (p && p[1] == '"')
+        p = strchr(p + 2, '"');
+    return p;
+}
+
+/* Text within quotation marks, up to `close`: doubled ones become one, and blanks follow. */
+static void table_unquote(char *text, char *close)
+{
+    char *to = text;
+    for (const char *from = text; from < close; from++) {
+        *to++ = *from;
+        from += *from == '"';
+    }
+    memset(to, ' ', (size_t)(close + 1 - to));
+}
+
 size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])
 {
     const char commas[2] = {comma, '\0'}, *end = comma ? commas : " \t,;";
@@ -154,11 +177,11 @@ size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])
         if (!comma && !*p)
             break;
         size_t len = strcspn(p, end);
-        const char *close = comma && *p == '"' ? strchr(p + 1, '"') : NULL;
+        char *close = comma && *p == '"' ? table_closing(p) : NULL;
         if (close && (close[1] == comma || !close[1 + strspn(close + 1, " \t")])) {
             p++; /* a quoted field may have commas */
-            len = (size_t)(close - p);
-            p[len++] = ' ';
+            table_unquote(p, close);
+            len = (size_t)(close - p) + 1;
             len += strcspn(p + len, end);
         }
         bool last = !p[len];

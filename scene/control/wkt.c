@@ -218,7 +218,11 @@ bool wkt_system(const char *text, int *epsg, int *heights)
     low[n] = '\0';
     if (text[n] && n < quoted) /* what is cut off might say south */
         return false;
-    const char *code = strstr(low, "epsg"), *utm = strstr(low, "utm");
+    const char *code = strstr(low, "epsg"), *utm = strstr(low, "utm"), *ogc = strstr(low, "crs84");
+    if (ogc && !ogc[5]) { /* "OGC:CRS84", and as a URN or an address: longitude and latitude */
+        *epsg = 4326;
+        return true;
+    }
     if (code && !strncmp(low, "http", 4)) { /* .../def/crs/EPSG/0/32632 */
         const char *last = strrchr(code, '/');
         return last && wkt_pair(last + 1, epsg, heights);

@@ -115,31 +115,53 @@ static bool positions_pair(const struct ingest *g, const struct position_photo *
     return true;
 }
 
+/* What EXIF says of its positions beside their numbers, where these count. */
+static void positions_doubt(const struct ingest *g)
+{
+    size_t odd = 0, interrupted = 0, no_letter = 0, far_datum = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct image_gps *x = &g->photos[i].gps;
+        odd += x->odd_sign;
+        interrupted += x->has_position && x->interrupted;
+        no_letter += x->has_position && x->no_letter && !g->photos[i].drone.has_position;
+        far_datum += x->has_position && x->far_datum;
+    }
+    if (odd)
+        log_warn("ingest",
+                 "%zu photographs have negative degrees and the letter of the other hemisphere in "
+                 "EXIF: the sign counts",
+                 odd);
+    if (interrupted)
+        log_warn("ingest",
+                 "%zu photographs say that GPS was interrupted (GPSStatus V): their positions may "
+                 "be old ones",
+                 interrupted);
+    if (no_letter)
+        log_warn("ingest",
+                 "%zu photographs do not say in EXIF whether they lie north or south, and east or "
+                 "west: north and east are taken; if that is wrong, give --positions or --gcp",
+                 no_letter);
+    if (far_datum)
+        log_warn("ingest",
+                 "%zu photographs say that their GPS is not of WGS 84 (GPSMapDatum): places may be "
+                 "hundreds of metres off; give --positions or --gcp",
+                 far_datum);
+}
+
 /* The file's positions, EXIF's and XMP's: those of one photograph lie near each other. */
 static enum err_code positions_check(const struct ingest *g, const struct position_photo *photos,
                                      struct err *e)
 {
     struct position_pair *pair = mem_array(g->n, sizeof *pair);
     double *scratch = mem_array(g->n, sizeof *scratch);
-    size_t n = 0, odd = 0, interrupted = 0;
+    size_t n = 0;
     enum err_code rc = pair && scratch
                            ? ERR_OK
                            : err_set(e, ERR_MEM, "ingest: out of memory for %zu photographs", g->n);
-    for (size_t i = 0; !rc && i < g->n; i++) {
-        odd += g->photos[i].gps.odd_sign;
-        interrupted += g->photos[i].gps.has_position && g->photos[i].gps.interrupted;
+    for (size_t i = 0; !rc && i < g->n; i++)
         n += positions_pair(g, photos, i, &pair[n]);
-    }
-    if (odd && !photos)
-        log_warn("ingest",
-                 "%zu photographs have negative degrees and the letter of the other hemisphere in "
-                 "EXIF: the sign counts",
-                 odd);
-    if (interrupted && !photos)
-        log_warn("ingest",
-                 "%zu photographs say that GPS was interrupted (GPSStatus V): their positions may "
-                 "be old ones",
-                 interrupted);
+    if (!photos)
+        positions_doubt(g);
     if (!rc && n)
         rc = photos ? positions_hold(g, pair, n, "--positions", "the photographs' GPS", e)
                     : positions_hold(g, pair, n, "EXIF", "XMP", e);

@@ -81,6 +81,12 @@ is 'an outlier at 5 km, left out' 0 '1 Gaussians lie more than .*left out' impor
 ply far.ply '0 0 3e9' 'nan 0 0'
 is 'an outlier at 3 million km, and no number' 1 'row 100 lies 3000000 km .*--drop-outliers' import far.ply --origin 8,50,100
 is 'both, left out' 0 $'1 of 102 rows are left out: not finite\n1 Gaussians lie more than' import far.ply --origin 8,50,100 --drop-outliers
+ply large.ply '0 0 0' '1 1 1'
+sed -i '$s/-2 -3 -4/12 -3 -4/' "$work/large.ply"
+is 'a standard deviation of 163 km' 0 '1 Gaussians lie more than .*or are so large, up to 162\.75.*--drop-outliers' import large.ply --origin 8,50,100
+is 'the same, left out' 0 '1 Gaussians lie more than .*left out' import large.ply --origin 8,50,100 --drop-outliers
+sed -i '$s/12 -3 -4/60 -3 60/' "$work/large.ply"
+is 'one of 1e26 m' 1 'row 101 .*or is so large.*--drop-outliers' import large.ply --origin 8,50,100
 is 'info of them' 0 'unusable +1' "$bin" info far.ply
 is 'axes that nobody says, .ply to .glb' 0 'axes' "$bin" convert plain.ply as_is.glb --overwrite
 is 'axes that are said, .ply to .spz' 0 'gaussians=100' "$bin" convert plain.ply up.spz --axes enu --overwrite

@@ -217,13 +217,13 @@ static void test_exif_round_trip(void **state)
 {
     static const struct image_gps all[] = {
         {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100,
-         24, false, false, false},
+         24, false, false, false, false, false},
         {true, true, -33.856784, -151.215296, -12.5, "2026:05:17 10:20:31", 0.5, 6400, 4.5, false,
-         false, false},
-        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false, false,
+         false, false, false, false},
+        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0, false, false, false, false,
          false}, /* 0.5 arc seconds; the date line */
         {true, true, 89.99999999999, -0.016666666666666666, 8848.86, "2026:01:01 00:00:00", 30, 50,
-         8.8, false, false, false},
+         8.8, false, false, false, false, false},
     };
     struct err e = {0};
     struct image img = picture(33, 17, 3), back;
@@ -274,7 +274,8 @@ static void test_one_exif(void **state)
 {
     struct err e = {0};
     struct buf b = {0};
-    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0, false, false, false};
+    const struct image_gps gps = {true, true, 47,    8,     400,   "",    0,
+                                  0,    0,    false, false, false, false, false};
     struct image img = picture(33, 17, 3);
     size_t n = 0;
     kit_ok(image_write(in_tmp("one.jpg"), &img, 95, &gps, &e), e);
@@ -373,7 +374,8 @@ static void test_exif_odd_numbers(void **state)
         char north, east;
         uint32_t type, count, lat[6], lon[6];
         uint32_t ref_type, ref, alt_type, alt[2];
-        bool place, ellipsoidal, odd;
+        bool place, ellipsoidal;
+        unsigned odd; /* 1: a sign and a letter contradict each other; 2: neither tells */
         double lat_deg, lon_deg, alt_m;
     } cases[] = {
         /* both say south and west */
@@ -383,7 +385,14 @@ static void test_exif_odd_numbers(void **state)
         GPS('N', 'E', SRATIONAL, 1, GPS(-3386, 100), GPS(-7065, 100), BYTE, 0, RATIONAL,
             GPS(520, 1), true, false, true, -33.86, -70.65, 520),
         GPS(0, 0, SRATIONAL, 1, GPS(-3386, 100), GPS(7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
-            true, false, false, -33.86, 70.65, 520),
+            true, false, 2, -33.86, 70.65, 520),
+        /* neither does, or the letters are those of the other axis */
+        GPS(0, 0, SRATIONAL, 1, GPS(-3386, 100), GPS(-7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
+            true, false, false, -33.86, -70.65, 520),
+        GPS('N', 0, RATIONAL, 1, GPS(3386, 100), GPS(7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
+            true, false, 2, 33.86, 70.65, 520),
+        GPS('E', 'N', RATIONAL, 1, GPS(3386, 100), GPS(7065, 100), BYTE, 0, RATIONAL, GPS(520, 1),
+            true, false, 2, 33.86, 70.65, 520),
         /* the sign in each of the three, small letters */
         GPS('s', 'w', SRATIONAL, 3, GPS(-33, 1, -51, 1, -36, 1), GPS(-70, 1, -39, 1, 0, 1), BYTE, 0,
             RATIONAL, GPS(520, 1), true, false, false, -33.86, -70.65, 520),
@@ -414,9 +423,16 @@ static void test_exif_odd_numbers(void **state)
             false, false, 0, 0, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(91, 1), GPS(7, 1), BYTE, 0, RATIONAL, GPS(470, 1), false,
             false, false, 0, 0, 470),
-        /* longitudes to 360; 0, 0 and a numerator of all ones stand for unknown */
+        /* nor 61 minutes; 60 seconds are a minute that was rounded */
+        GPS('N', 'E', RATIONAL, 3, GPS(47, 1, 61, 1, 0, 1), GPS(7, 1, 0, 1, 0, 1), BYTE, 0,
+            RATIONAL, GPS(470, 1), false, false, false, 0, 0, 470),
+        GPS('N', 'E', RATIONAL, 3, GPS(47, 1, 29, 1, 60, 1), GPS(7, 1, 0, 1, 0, 1), BYTE, 0,
+            RATIONAL, GPS(470, 1), true, false, false, 47.5, 7, 470),
+        /* longitudes to 360, either letter; 0, 0 and a numerator of all ones stand for unknown */
         GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
             false, false, 47, -7.25, 470),
+        GPS('N', 'W', RATIONAL, 1, GPS(47, 1), GPS(1411, 4), BYTE, 0, RATIONAL, GPS(470, 1), true,
+            false, false, 47, 7.25, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(0, 1), GPS(0, 1), BYTE, 0, RATIONAL, GPS(470, 1), false,
             false, false, 0, 0, 470),
         GPS('N', 'E', RATIONAL, 1, GPS(47, 1), GPS(7, 1), BYTE, 0, RATIONAL,
@@ -450,21 +466,53 @@ static void test_exif_odd_numbers(void **state)
         be32(&b, cases[i].alt[1]);
         exif_parse(b.data, b.size, &got, NULL);
         buf_free(&b);
+        const unsigned odd = got.odd_sign + 2u * got.no_letter;
         if (got.has_position != cases[i].place || fabs(got.lat_deg - cases[i].lat_deg) > 1e-9 ||
             fabs(got.lon_deg - cases[i].lon_deg) > 1e-9 ||
             got.has_altitude != isfinite(cases[i].alt_m) ||
             fabs(got.alt_m - cases[i].alt_m) > 1e-9 || got.ellipsoidal != cases[i].ellipsoidal ||
-            got.odd_sign != cases[i].odd)
-            fail_msg("case %zu: %d %.9f %.9f %.3f %d %d", i, got.has_position, got.lat_deg,
-                     got.lon_deg, got.alt_m, got.ellipsoidal, got.odd_sign);
+            odd != cases[i].odd)
+            fail_msg("case %zu: %d %.9f %.9f %.3f %d %u", i, got.has_position, got.lat_deg,
+                     got.lon_deg, got.alt_m, got.ellipsoidal, odd);
+    }
+}
+
+/* GPSMapDatum: what lies within metres of WGS 84, or says nothing, is no other datum. */
+static void test_exif_datum(void **state)
+{
+    static const struct {
+        const char *text;
+        bool far;
+    } cases[] = {{"WGS-84", false},  {"WGS84", false}, {"JGD2011", false}, {"", false},
+                 {"unknown", false}, {"TOKYO", true},  {"Tokyo", true},    {"NAD27", true}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct buf b = {0};
+        struct image_gps got;
+        const size_t n = strlen(cases[i].text) + 1;
+        char text[8] = "";
+        memcpy(text, cases[i].text, n);
+        buf_add(&b, "MM\0*", 4);
+        be32(&b, 8);
+        be16(&b, 1);
+        be_entry(&b, 0x8825, 4, 1, 26);
+        be32(&b, 0);
+        be16(&b, 1);
+        be_entry(&b, 0x12, 2, (uint32_t)n, n > 4 ? 44 : 0);
+        be32(&b, 0);
+        buf_add(&b, text, sizeof text);
+        exif_parse(b.data, b.size, &got, NULL);
+        if (got.far_datum != cases[i].far)
+            fail_msg("'%s'", cases[i].text);
+        buf_free(&b);
     }
 }
 
 /* Random bytes over good files: nothing may be read out of bounds, and angles stay angles. */
 static void test_exif_survives_flips(void **state)
 {
-    static const struct image_gps gps = {true, true, 12.5, -7.25, 90,    "2026:05:17 10:20:30",
-                                         0.01, 100,  8,    false, false, false};
+    static const struct image_gps gps = {true,  true, 12.5, -7.25, 90,    "2026:05:17 10:20:30",
+                                         0.01,  100,  8,    false, false, false,
+                                         false, false};
     struct err e = {0};
     struct image img = picture(9, 9, 3);
     for (const char *const *f = (const char *const[]){"jpg", "png", "webp", NULL}; *f; f++) {
@@ -608,6 +656,7 @@ int main(void)
         cmocka_unit_test(test_no_exif),
         cmocka_unit_test(test_exif_big_endian_decimal_degrees),
         cmocka_unit_test(test_exif_odd_numbers),
+        cmocka_unit_test(test_exif_datum),
         cmocka_unit_test(test_exif_survives_flips),
         cmocka_unit_test(test_bad_files),
         cmocka_unit_test(test_truncated),

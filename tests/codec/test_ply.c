@@ -323,6 +323,30 @@ static void test_truncation_and_flips(void **state)
     "property float rot_0\nproperty float rot_1\nproperty float rot_2\n"
 #define LITTLE "ply\nformat binary_little_endian 1.0\n"
 
+/* Elements without rows take no room, lists or not. */
+static void test_empty_elements(void **state)
+{
+    for (int text = 0; text < 2; text++) {
+        struct buf b = {0};
+        struct gauss g;
+        struct err e = {0};
+        const float row[14] = {1, 2, 3, 0.5f, 0.5f, 0.5f, 1, -2, -3, -4, 1, 0, 0, 0};
+        buf_printf(&b,
+                   "ply\nformat %s 1.0\nelement face 0\nproperty list uchar int vertex_indices\n"
+                   "element camera 0\nproperty float f\nelement vertex 1\n",
+                   text ? "ascii" : "binary_little_endian");
+        buf_printf(&b, "%sproperty float rot_3\nend_header\n", ALL_BUT_ROT_3);
+        for (size_t i = 0; i < 14 && text; i++)
+            buf_printf(&b, "%g ", (double)row[i]);
+        if (!text)
+            buf_add(&b, row, sizeof row);
+        kit_ok(ply_decode(b.data, b.size, NULL, &g, NULL, &e), e);
+        assert_true(g.n == 1 && g.mean_m[2] == 3 && g.scale_log[2] == -4 && g.quat_wxyz[0] == 1);
+        gauss_free(&g);
+        buf_free(&b);
+    }
+}
+
 static void test_hostile_headers(void **state)
 {
     static const struct {
@@ -604,6 +628,7 @@ int main(void)
         cmocka_unit_test(test_writes_supersplats_packed_form),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_hostile_headers),
+        cmocka_unit_test(test_empty_elements),
         cmocka_unit_test(test_bad_rows_are_named),
         cmocka_unit_test(test_other_columns),
         cmocka_unit_test(test_files),

@@ -82,8 +82,9 @@ static enum err_code tensors_seed(size_t i, struct buf *out)
 static enum err_code exif_seed(size_t i, struct buf *out)
 {
     static const char *const formats[] = {"jpg", "png", "webp"};
-    static const struct image_gps gps = {true, true, -12.5, 7.25,  90,    "2026:05:17 10:20:30",
-                                         0.01, 100,  8,     false, false, false};
+    static const struct image_gps gps = {true,  true, -12.5, 7.25,  90,    "2026:05:17 10:20:30",
+                                         0.01,  100,  8,     false, false, false,
+                                         false, false};
     struct image img;
     enum err_code rc = image_alloc(4, 4, 3, &img, NULL);
     if (!rc)

@@ -496,6 +496,10 @@ static void nonsense_is_refused(void **state)
         enum err_code rc;
     } bad[] = {
         {"EPSG:4326\n", "no ground control points", ERR_DATA},
+        {"EPSG:4326\n1 2 -9999 4 5 a.jpg\n",
+         "line 2: the height is -9999 m, which stands for unknown", ERR_FORMAT},
+        {"# EPSG:4326\nx,y,z,px,py,image,name,accuracy_xy\n1,2,3,4,5,a.jpg,p,-1\n",
+         "or nothing where it is not known", ERR_FORMAT},
         {"EPSG:4326\n1 2 3 4 x a.jpg\n", "line 2: field 5 is no number", ERR_FORMAT},
         {"EPSG:4326\n1 2 3 4 5\n", "no photograph", ERR_FORMAT},
         {"EPSG:4326\n1 2 nan 4 5 a.jpg\n", "field 3", ERR_FORMAT},

@@ -306,11 +306,47 @@ static void tables_of_other_programs_are_read(void **state)
          "7.5,\xc2\xa0"
          "47.5,300\n",
          4326, -7.5, 47.5, 300, 0},
+        /* doubled quotation marks; a spreadsheet's own first line */
+        {"note,image,lon,lat,height\n\"a \"\"b, c\"\" d\",\"A \"\"1\"\".jpg\",7.5,\"47.5\",300\n",
+         4326, 7.5, 47.5, 300, 0},
+        {"sep=;\r\nimage;lon;lat;height\r\nA.jpg;7,5;47,5;300,0\r\n", 4326, 7.5, 47.5, 300, 0},
+        /* of two columns of a kind the first counts, and says what it is */
+        {"image,easting,northing,height,longitude,latitude\nA.jpg,7.5,47.5,300,8,48\n", 0, 7.5,
+         47.5, 300, 0},
+        /* photographs that are switched off; accuracies that stand for unknown, or are no limit */
+        {"#Label,Enable,X/Longitude,Y/Latitude,Z/"
+         "Altitude\nB.jpg,0,8,48,900\nA.jpg,1,7.5,47.5,300\n",
+         4326, 7.5, 47.5, 300, 0},
+        {"image,lon,lat,height,accuracy_xy,accuracy_z\nA.jpg,7.5,47.5,300,-1,N/A\n", 4326, 7.5,
+         47.5, 300, 0},
+        {"image,lon,lat,height,accuracy_xy,accuracy_z\nA.jpg,7.5,47.5,300,nan,\n", 4326, 7.5, 47.5,
+         300, 0},
+        {"EPSG:4979\nA.jpg 7.5 47.5 300\n", 4326, 7.5, 47.5, 300, 0},
     };
+    static const struct {
+        const char *text, *heights;
+        double sigma_m;
+    } told[] = {
+        {"image,lon,lat,altitude,ellipsoidal_height\nA.jpg,7.5,47.5,300,350\n", "unknown", 0},
+        {"image,lon,lat,ellipsoidal_height,altitude\nA.jpg,7.5,47.5,300,350\n", "ellipsoid", 0},
+        {"EPSG:4979\nA.jpg 7.5 47.5 300\n", "ellipsoid", 0},
+        {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,1e30\n", "unknown", 1e4},
+        {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,inf\n", "unknown", 1e4},
+        {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,-\n", "unknown", 0}};
+    static const struct {
+        const char *text, *says;
+    } wrong[] = {
+        {"EPSG:4326\nA.jpg 7.5 47.5\n", "line 2: z (or height) is missing"},
+        {"image,lon,lat,height\nA.jpg,7.5,,300\n", "line 2: y (or lat) is missing"},
+        {"image,lon,lat,height\nA.jpg,7.5E,47.5N,300\n", "decimal degrees that are negative"},
+        {"image,lon,lat,height\nA.jpg,7.5,47.5,300 m\n", "'300 m', is no number: write metres"},
+        {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,good\n", "'good', is no number"}};
     static const struct {
         const char *text;
         int epsg;
     } systems[] = {
+        {"OGC:CRS84", 4326},
+        {"urn:ogc:def:crs:OGC:1.3:CRS84", 4326},
         {"EPSG:32632", 32632},
         {"epsg 32632", 32632},
         {"EPSG::25832", 25832},
@@ -373,6 +409,18 @@ static void tables_of_other_programs_are_read(void **state)
             fail_msg("table %zu: n=%zu epsg=%d left out %zu, '%s'", i, p.n, p.epsg, p.n_left_out,
                      p.list[0].image);
         positions_free(&p);
+    }
+    for (size_t i = 0; i < sizeof told / sizeof *told; i++) {
+        put("told.csv", told[i].text, path);
+        kit_ok(positions_read(path, &p, &e), e);
+        if (strcmp(p.heights, told[i].heights) || p.list[0].at[2] != 300 ||
+            p.list[0].sigma_m[0] != told[i].sigma_m || p.list[0].sigma_m[1] != told[i].sigma_m)
+            fail_msg("'%s': %s, %g", told[i].text, p.heights, p.list[0].sigma_m[0]);
+        positions_free(&p);
+    }
+    for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
+        put("wrong.csv", wrong[i].text, path);
+        kit_fails(positions_read(path, &p, &e), ERR_FORMAT, e, wrong[i].says);
     }
     log_set_level(LOG_WARN);
     put("feet.csv", feet, path);
@@ -454,7 +502,7 @@ static void nonsense_is_refused(void **state)
         const char *name, *text, *says;
     } bad[] = {
         {"a.csv", "image,lon,lat\n", "no column for z"},
-        {"b.csv", "image,lon,lat,z\na.jpg,7,48\n", "line 2: field 4"},
+        {"b.csv", "image,lon,lat,z\na.jpg,7,48\n", "line 2: z (or height) is missing"},
         {"c.csv", "image,lon,lat,z\na.jpg,7,5,47,5,300\n", "decimal commas"},
         {"d.csv", "image;lon;lat;z\na.jpg;7,5,1;47.5;300\n", "decimal point"},
         {"e.csv", "image,lon,lat,z\n", "no positions"},
