@@ -219,8 +219,7 @@ static void test_presets_keep_to_their_steps(void **state)
                     int step = 1 << f[k].shift, v = f[k].got[c];
                     assert_true(v % step == 0 || v == 255);
                     /* fine is rounded itself */
-                    assert_true(grid->look ||
-                                abs(v - f[k].want[c]) <= step / 2 + (step > 1));
+                    assert_true(grid->look || abs(v - f[k].want[c]) <= step / 2 + (step > 1));
                 }
             for (int at = 0; at < 30; at += 10) {
                 uint32_t mag = q.rotation[i] >> at & 511;
