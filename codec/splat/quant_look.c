@@ -34,6 +34,7 @@ enum { DOWN_STEPS = 16, ROUND_STEPS = 16 }; /* directions: cosines to nadir, and
 struct look {
     size_t k_in, k_out, k; /* coefficients of a channel: trained, written, the more of both */
     int shift[LAYOUT_SH_MAX];
+    float per_step[LAYOUT_SH_MAX], zero[LAYOUT_SH_MAX]; /* steps of one unit, and of value 0 */
     float push[LAYOUT_SH_MAX][LAYOUT_SH_MAX]; /* what an error of one adds to those before it */
 };
 
@@ -105,31 +106,39 @@ static int look_round(float v, float dead)
     return v < 0 ? -step : step;
 }
 
-/* One channel of one row. in: every third; about: the steps to round about,
- * and on return those that were written. */
-static void look_channel(const struct look *l, const float *in, int about[LAYOUT_SH_MAX],
-                         uint8_t *color, uint8_t *sh)
+/* The step of coefficient i nearest to `target`, rounded about a step. */
+static int look_step(const struct look *l, size_t i, float target, int about)
 {
-    float target[LAYOUT_SH_MAX] = {0}, want[LAYOUT_SH_MAX] = {0};
-    for (size_t i = 0; i < l->k_in; i++) {
-        const float v = in[3 * i], most = i ? 1 : COLOR_MAX;
-        want[i] = target[i] = v < -most ? -most : v > most ? most : v;
-    }
-    for (size_t i = l->k; i-- > 0;) {
-        float error = want[i];
-        if (i < l->k_out) {
-            const int shift = l->shift[i];
-            const float unit = i ? SH_UNIT : COLOR_UNIT, zero = i ? 128 : 127.5f,
-                        at = (target[i] / unit + zero) / (float)(1 << shift) - (float)about[i];
-            int step = about[i] + look_round(at, i ? DEAD : 0);
-            step = step < 0 ? 0 : step > 256 >> shift ? 256 >> shift : step;
-            const int v = step << shift > 255 ? 255 : step << shift;
-            about[i] = step;
-            error -= ((float)v - zero) * unit;
-            *(i ? sh + 3 * (i - 1) : color) = (uint8_t)v;
+    const float at = target * l->per_step[i] + l->zero[i] - (float)about;
+    const int step = about + look_round(at, i ? DEAD : 0), most = 256 >> l->shift[i];
+    return step < 0 ? 0 : step > most ? most : step;
+}
+
+/* One row; its channels side by side, because each waits for its own coefficient before. */
+static void look_row(const struct look *l, const float *in, uint8_t *color, uint8_t *sh)
+{
+    static const size_t order[3] = {1, 0, 2}; /* the others are rounded about green */
+    float target[3][LAYOUT_SH_MAX] = {{0}}, want[3][LAYOUT_SH_MAX] = {{0}};
+    for (size_t i = 0; i < l->k_in; i++)
+        for (size_t c = 0; c < 3; c++) {
+            const float v = in[3 * i + c], most = i ? 1 : COLOR_MAX;
+            want[c][i] = target[c][i] = v < -most ? -most : v > most ? most : v;
         }
-        for (size_t j = 0; j < LAYOUT_SH_MAX; j++)
-            target[j] += l->push[i][j] * error;
+    for (size_t i = l->k; i-- > 0;) {
+        int about = 128 >> l->shift[i];
+        for (size_t n = 0; n < 3; n++) {
+            const size_t c = order[n];
+            float error = want[c][i];
+            if (i < l->k_out) {
+                const int step = look_step(l, i, target[c][i], about);
+                const int v = step << l->shift[i] > 255 ? 255 : step << l->shift[i];
+                about = n ? about : step;
+                error -= ((float)v - (i ? 128 : 127.5f)) * (i ? SH_UNIT : COLOR_UNIT);
+                *(i ? sh + 3 * (i - 1) + c : color + c) = (uint8_t)v;
+            }
+            for (size_t j = 0; j < LAYOUT_SH_MAX; j++)
+                target[c][j] += l->push[i][j] * error;
+        }
     }
 }
 
@@ -137,21 +146,13 @@ void quant_look_colors(const struct gauss *g, uint32_t sh_degree, unsigned color
                        const uint8_t sh_bits[3], uint8_t *color, uint8_t *sh)
 {
     struct look l = {.k_in = gauss_sh_count(g->sh_degree), .k_out = gauss_sh_count(sh_degree)};
-    int zero[LAYOUT_SH_MAX];
     l.k = l.k_in > l.k_out ? l.k_in : l.k_out;
     look_push(l.k, l.push);
     for (size_t i = 0; i < LAYOUT_SH_MAX; i++) {
         l.shift[i] = i == 0 ? (int)color_bits : sh_bits[i < 4 ? 0 : i < 9 ? 1 : 2];
-        zero[i] = 128 >> l.shift[i];
+        l.per_step[i] = 1 / ((i ? SH_UNIT : COLOR_UNIT) * (float)(1 << l.shift[i]));
+        l.zero[i] = (i ? 128 : 127.5f) / (float)(1 << l.shift[i]);
     }
-    for (size_t row = 0; row < g->n; row++, color += 3, sh += (l.k_out - 1) * 3) {
-        const float *in = g->sh + row * l.k_in * 3;
-        int green[LAYOUT_SH_MAX], about[LAYOUT_SH_MAX];
-        memcpy(green, zero, sizeof green);
-        look_channel(&l, in + 1, green, color + 1, sh + 1);
-        for (size_t c = 0; c < 3; c += 2) {
-            memcpy(about, green, sizeof about);
-            look_channel(&l, in + c, about, color + c, sh + c);
-        }
-    }
+    for (size_t row = 0; row < g->n; row++)
+        look_row(&l, g->sh + row * l.k_in * 3, color + 3 * row, sh + row * (l.k_out - 1) * 3);
 }
