@@ -321,17 +321,20 @@ static enum err_code ingest_check_some_left(const struct ingest *g, struct err *
         loose, g->n, most, pose, broken);
 }
 
-/* The mask of a photograph: of --mask-dir, or else what its alpha calls transparent. */
+/* The mask of a photograph: of --mask-dir, or else what its alpha calls transparent; and the sky. */
 static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_photo *p,
                                          const char *photo, struct err *e)
 {
+    const struct camera *cam = &g->scene.images[g->kept[p->image - g->model.images]].cam;
     char from[FILE_PATH_MAX] = "", to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
     enum ingest_mask made = INGEST_MASK_NONE;
     enum err_code rc =
         g->cfg->mask_dir ? mask_path(g->cfg->mask_dir, p->image->name, from, e) : ERR_OK;
     const bool alpha = !rc && !(from[0] && file_exists(from));
+    bool sky = false;
     const char *dot = strrchr(photo, '.');
-    if (alpha && dot && (!strcasecmp(dot, ".jpg") || !strcasecmp(dot, ".jpeg")))
+    const bool opaque = alpha && dot && (!strcasecmp(dot, ".jpg") || !strcasecmp(dot, ".jpeg"));
+    if (!rc && opaque && !ingest_sky_looks_up(cam))
         return ERR_OK;
     if (!rc)
         rc = file_join(folder, g->dir.part, "masks", e);
@@ -339,12 +342,15 @@ static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_p
         rc = mask_path(folder, p->out_name, to, e);
     if (!rc)
         rc = file_mkdir(folder, e);
-    if (!rc)
+    if (!rc && !opaque)
         rc = ingest_mask_convert(&g->views[p->view], alpha ? photo : from, alpha, to, &made, e);
+    if (!rc)
+        rc = ingest_sky_mask(&g->scene, cam, to, made == INGEST_MASK_MADE, &sky, e);
     if (made == INGEST_MASK_BLANK)
         atomic_fetch_add(&g->blanks, 1);
     if (made == INGEST_MASK_MADE)
         atomic_fetch_add(alpha ? &g->alphas : &g->masks, 1);
+    atomic_fetch_add(&g->skies, sky);
     return rc;
 }
 
@@ -512,7 +518,12 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
     if (!rc && atomic_load(&g->alphas))
         log_info("ingest", "%zu photographs have transparent pixels: these are masked",
                  atomic_load(&g->alphas));
-    if (!rc && !atomic_load(&g->alphas) && !atomic_load(&g->masks) &&
+    if (!rc && atomic_load(&g->skies))
+        log_info("ingest",
+                 "%zu photographs show the sky: what is above the horizon and above all points is "
+                 "masked",
+                 atomic_load(&g->skies));
+    if (!rc && !atomic_load(&g->alphas) && !atomic_load(&g->masks) && !atomic_load(&g->skies) &&
         !file_join(folder, g->dir.part, "masks", e))
         (void)remove(folder); /* made for photographs that turned out to be opaque */
     if (!rc && g->cfg->mask_dir)

@@ -126,6 +126,7 @@ struct ingest {
     atomic_flag progress_busy;         /* only its holder may use `progress` */
     atomic_size_t done, masks, alphas; /* masks of --mask-dir, and by alpha */
     atomic_size_t blanks;              /* photographs whose alpha is 0 everywhere */
+    atomic_size_t skies;               /* photographs that show the sky */
     size_t points[INGEST_POINT_VERDICTS];
 };
 
@@ -191,6 +192,20 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 enum ingest_mask { INGEST_MASK_NONE, INGEST_MASK_BLANK, INGEST_MASK_MADE };
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
                                   const char *to, enum ingest_mask *made, struct err *e) ERR_USE;
+
+/* ---- ingest_sky.c ---- */
+
+/* Whether any ray of the picture goes up. */
+bool ingest_sky_looks_up(const struct camera *c);
+/* The steepest rise, height over distance on the ground, at which the camera sees a point, at least
+ * 0; HUGE_VAL without points. Rays that rise more meet nothing: they show the sky. */
+double ingest_sky_slope(const struct scene *s, const struct camera *c);
+/* Sets mask [h][w] to 0 where rays rise more. Returns the number of these pixels. */
+size_t ingest_sky_mark(const struct camera *c, double slope, uint8_t *mask);
+/* The same in the PNG of a mask, which is made where none is there. *seen: there is sky; without
+ * it nothing is written. ERR_IO, ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+enum err_code ingest_sky_mask(const struct scene *s, const struct camera *c, const char *path,
+                              bool there, bool *seen, struct err *e) ERR_USE;
 
 /* ---- ingest_report.c ---- */
 
