@@ -321,7 +321,7 @@ static enum err_code ingest_check_some_left(const struct ingest *g, struct err *
         loose, g->n, most, pose, broken);
 }
 
-/* The mask of a photograph: of --mask-dir, or else what its alpha calls transparent; and the sky. */
+/* The mask of a photograph: of --mask-dir, or what its alpha calls transparent; and of the sky. */
 static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_photo *p,
                                          const char *photo, struct err *e)
 {
