@@ -24,7 +24,7 @@
 
 /* One run of so small a scene says little, it moves with the seed: means of three. */
 #define F17_LIMIT_DB 0.2 /* masked runs below the runs without any box */
-#define F17_GAIN_DB 0.5  /* what masks are worth where the boxes were, at least */
+#define F17_GAIN_DB 0.3  /* what masks are worth where the boxes were, at least */
 enum { F17_BOX_PX = 30, F17_EVERY = 5, F17_STEPS = 500, F17_SEEDS = 3 };
 enum f17_way { F17_MASKS, F17_PLAIN };
 
