@@ -47,6 +47,13 @@ void camera_center(const struct camera *c, double out_enu_m[3])
 }
 
 /* What is shown, kept and seeded hangs on the last bits: the order of operations stays. */
+void camera_ray(const struct camera *c, double x_px, double y_px, double out_enu[3])
+{
+    const double a = (x_px - c->cx_px) / c->fx_px, b = (y_px - c->cy_px) / c->fy_px;
+    for (int k = 0; k < 3; k++)
+        out_enu[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
+}
+
 bool camera_project(const struct camera *c, const double enu_m[3], double near_m, double px[2],
                     double *depth_m)
 {

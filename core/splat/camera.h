@@ -30,6 +30,8 @@ struct camera_window { /* a part of a picture, in shares of its width and height
 
 /* Centre of projection in the world frame: -rot^T trans. */
 void camera_center(const struct camera *c, double out_enu_m[3]);
+/* The ray through a place of the picture, world frame; its part along the forward axis is 1. */
+void camera_ray(const struct camera *c, double x_px, double y_px, double out_enu[3]);
 /* Projects a point of the world frame. px is the pixel, which may lie outside the picture. depth_m
  * (may be NULL) is the distance along the forward axis in metres. If the point is not farther than
  * near_m, it returns false and writes nothing. */

@@ -13,19 +13,11 @@
 #include "codec/scene/scene.h"
 #include "scene/ingest/ingest_internal.h"
 
-/* The ray through a place of the picture. */
-static void sky_ray(const struct camera *c, double x_px, double y_px, double out[3])
-{
-    const double local[3] = {(x_px - c->cx_px) / c->fx_px, (y_px - c->cy_px) / c->fy_px, 1.0};
-    for (int k = 0; k < 3; k++)
-        out[k] = c->rot[k] * local[0] + c->rot[3 + k] * local[1] + c->rot[6 + k] * local[2];
-}
-
 bool ingest_sky_looks_up(const struct camera *c)
 {
     double ray[3], up = -HUGE_VAL;
     for (int k = 0; k < 4; k++) { /* it is a linear function: greatest at a corner */
-        sky_ray(c, k % 2 ? c->width_px : 0.0, k / 2 ? c->height_px : 0.0, ray);
+        camera_ray(c, k % 2 ? c->width_px : 0.0, k / 2 ? c->height_px : 0.0, ray);
         up = fmax(up, ray[2]);
     }
     return up > 0.0;
@@ -49,7 +41,7 @@ size_t ingest_sky_mark(const struct camera *c, double slope, uint8_t *mask)
     for (uint32_t y = 0; y < c->height_px; y++)
         for (uint32_t x = 0; x < c->width_px; x++) {
             double ray[3];
-            sky_ray(c, x + 0.5, y + 0.5, ray);
+            camera_ray(c, x + 0.5, y + 0.5, ray);
             if (!(ray[2] > 0.0 && ray[2] > slope * hypot(ray[0], ray[1])))
                 continue;
             mask[(size_t)y * c->width_px + x] = 0;

@@ -22,12 +22,9 @@ static const double split_far = 2;        /* others are at most so many times as
  * horizon. */
 static bool split_ground(const struct camera *c, double u, double v, double ground_m, double out[3])
 {
-    double eye[3], ray[3],
-        local[3] = {(u * c->width_px - c->cx_px) / c->fx_px,
-                    (v * c->height_px - c->cy_px) / c->fy_px, 1.0};
+    double eye[3], ray[3];
     camera_center(c, eye);
-    for (int k = 0; k < 3; k++)
-        ray[k] = c->rot[k] * local[0] + c->rot[3 + k] * local[1] + c->rot[6 + k] * local[2];
+    camera_ray(c, u * c->width_px, v * c->height_px, ray);
     double t = (ground_m - eye[2]) / ray[2];
     for (int k = 0; k < 3; k++)
         out[k] = eye[k] + t * ray[k];

@@ -114,10 +114,9 @@ static enum err_code depths_read(void *user, size_t i, struct err *e)
 static bool depths_point(const struct camera *c, double x, double y, double z_m, double out[3],
                          double *depth_m)
 {
-    double a = (x - c->cx_px) / c->fx_px, b = (y - c->cy_px) / c->fy_px, eye[3], ray[3];
+    double eye[3], ray[3];
     camera_center(c, eye);
-    for (int k = 0; k < 3; k++)
-        ray[k] = c->rot[k] * a + c->rot[3 + k] * b + c->rot[6 + k];
+    camera_ray(c, x, y, ray);
     if (!(ray[2] < -SWEEP_DOWN))
         return false;
     *depth_m = (z_m - eye[2]) / ray[2];

@@ -174,11 +174,11 @@ uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t 
      * .spz (and .glb around it) takes more, mostly for positions. */
     static const double drc[QUANT_PRESETS][4] = {[QUANT_SPZ] = {9.5, 10.3, 11.5, 13.3},
                                                  [QUANT_PREVIEW] = {5.2, 5.4, 5.9, 6.6},
-                                                 [QUANT_BALANCED] = {7.1, 7.2, 8.3, 9.9},
+                                                 [QUANT_BALANCED] = {8.2, 8.4, 9.1, 9.3},
                                                  [QUANT_NEAR_LOSSLESS] = {11, 12.6, 15, 18}},
                         spz[QUANT_PRESETS] = {[QUANT_SPZ] = 4,
                                               [QUANT_PREVIEW] = 2.9,
-                                              [QUANT_BALANCED] = 4.9,
+                                              [QUANT_BALANCED] = 4.4,
                                               [QUANT_NEAR_LOSSLESS] = 6.4},
                         embedding[QUANT_PRESETS] = {[QUANT_SPZ] = 12.6,
                                                     [QUANT_PREVIEW] = 3.4,

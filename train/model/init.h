@@ -41,8 +41,8 @@ struct init_input { /* all borrowed */
  * opacity 0.5. If there are more points than `limit`, a random subset is used. If there are none,
  * 100 places in front of the cameras are used. Each grid cell of the ground that a photograph sees
  * and that has no point gets a Gaussian, with the height of its neighbours and the colour of the
- * nearest point. The origin is the mean of the points. Free *out with gauss_free. ERR_MEM.
- * ERR_LIMIT: more points than knn_build accepts. */
+ * nearest point. The origin is the mean of the points. The caller frees *out with gauss_free.
+ * ERR_MEM. ERR_LIMIT: more points than knn_build accepts. */
 enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct err *e) ERR_USE;
 /* The number of points that init_gauss would use without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
