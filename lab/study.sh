@@ -454,7 +454,7 @@ study_long_city() { # the same in a city, by map views too
 study_budgets() { # accuracy against the number of Gaussians
   local b
   for b in 25000 50000 100000 200000 400000; do
-    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget-rule table --budget "$b" --tau 1e-4 --thin-db 0
+    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget-rule table --budget "$b" --tau 1e-4
   done
 }
 
@@ -568,16 +568,12 @@ importance_rows() {
 }
 study_importance() { seeded importance importance_rows; }
 
-# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets, and those the trainer
-# chooses without and with thinning.
+# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets and the trainer's own.
 pareto_rows() {
   local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
-  row pareto "split: fit" demo "" "${base[@]}" --budget-rule fit --thin-db 0
+  row pareto "split: fit" demo "" "${base[@]}" --budget-rule fit
   for b in 40000 80000 160000 320000; do
-    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget-rule table --budget "$((b / 4))","$((b / 2))","$b" --thin-db 0
-  done
-  for b in 0.05 0.1 0.2; do
-    row pareto "split: fit, thinned by $b dB" demo "thin_db=$b" "${base[@]}" --thin-db "$b"
+    row pareto "split: $((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget-rule table --budget "$((b / 4))","$((b / 2))","$b"
   done
 }
 study_pareto() { seeded pareto pareto_rows; }
@@ -732,25 +728,6 @@ study_fall() {
 }
 study_fall_caliterra() { seeded fall_caliterra fall_rows fall_caliterra caliterra-400; }
 study_fall_ochota() { seeded fall_ochota fall_rows fall_ochota ochota-400; }
-# What thinning in the middle of the finest level costs.
-thin_rows() { # STUDY SCENE
-  local study=$1 scene=$2 base
-  base=(--iterations "$(steps "$study")" --depth-prior "$OUT/$scene-depth")
-  row "$study" "not thinned" "$scene" "thin_db=0" "${base[@]}" --thin-db 0
-  row "$study" "thinned by 0.01 dB" "$scene" "thin_db=0.01" "${base[@]}" --thin-db 0.01
-  row "$study" "thinned by 0.02 dB" "$scene" "thin_db=0.02" "${base[@]}" --thin-db 0.02
-}
-study_thin() {
-  local MAP_VIEWS=1 SURFACE=city
-  seeded thin thin_rows thin exact
-}
-study_thin_tricky() {
-  local MAP_VIEWS=1 SURFACE=city
-  seeded thin_tricky thin_rows thin_tricky tricky
-}
-study_thin_caliterra() { seeded thin_caliterra thin_rows thin_caliterra caliterra-400; }
-study_thin_ochota() { seeded thin_ochota thin_rows thin_ochota ochota-400; }
-
 # Which level is trained first. Every level on photographs of its own size, and tiles of a store that are picked for
 # photographs made small, as if from farther away.
 order_rows() { # STUDY SCENE
@@ -958,7 +935,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota thin thin_tricky thin_caliterra thin_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

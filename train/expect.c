@@ -23,7 +23,7 @@
 
 /* Processor seconds of a unit of train/forecast.h, without and with known depths. Fitted to runs on
  * two cores with AVX-512 (docs/scale.md). */
-static const double unit_s = 1.01e-7, unit_known_s = 1.18e-7;
+static const double unit_s = 0.95e-7, unit_known_s = 1.05e-7;
 static const double ckpt_bytes = 236;   /* of a Gaussian in a level's checkpoint */
 static const double sparse_share = 0.1; /* sparse points, of the first level's budget */
 

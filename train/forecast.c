@@ -25,7 +25,7 @@
 #define FORECAST_IMPORTANCE 0.35 /* of a step: drawing half a photograph for importance */
 #define FORECAST_DENSIFY 4.0     /* a Gaussian of a densification, without importance */
 #define FORECAST_SCORE_PX 4.5    /* a pixel of a test photograph */
-#define FORECAST_THIN 1.0        /* of a step: drawing a photograph for thinning */
+#define FORECAST_THIN 0.6        /* of a step: drawing a photograph for thinning */
 #define FORECAST_OUTSIDE 0.5     /* of those inside a cell: schedule_cap_outside */
 #define FORECAST_KEEP 0.9        /* of what was measured before, a look */
 enum { FORECAST_PRUNE_AGAIN = 32 /* photographs that train/density/prune.c draws once more */ };
@@ -85,8 +85,31 @@ static double forecast_end(const struct forecast *f, const struct stage *at,
            (double)f->n_tests * FORECAST_SCORE_PX * forecast_pixels(f, s);
 }
 
-/* Steps first + 1 to last, with the densifications among them. *gaussians are those inside the
- * cell, which grow; those around it are drawn and moved, too. */
+/* One thinning. */
+static double forecast_thin(const struct forecast *f, const struct schedule *s, double gaussians)
+{
+    return FORECAST_THIN * (double)thin_views(s, f->n_images) * forecast_step(f, s, gaussians);
+}
+
+/* Steps from + 1 to the end of a level that has grown, with the thinnings among them. */
+static double forecast_grown(const struct forecast *f, const struct schedule *s, uint32_t from,
+                             double *gaussians)
+{
+    double work = 0.0;
+    for (uint32_t step = from + 1; !s->derived && step <= s->steps; step++) {
+        const uint32_t nth = schedule_thinning(s, step);
+        if (!nth || *gaussians <= (double)s->budget)
+            continue;
+        const double all = forecast_all(f, s, *gaussians);
+        work += (step - from) * forecast_step(f, s, all) + forecast_thin(f, s, all);
+        from = step;
+        *gaussians = (double)thin_inside(s, nth, (size_t)*gaussians);
+    }
+    return work + (s->steps - from) * forecast_step(f, s, forecast_all(f, s, *gaussians));
+}
+
+/* Steps first + 1 to last, with the densifications and thinnings among them. *gaussians are those
+ * inside the cell, which grow; those around it are drawn and moved, too. */
 static double forecast_steps(const struct forecast *f, const struct schedule *s, uint32_t first,
                              double *gaussians)
 {
@@ -105,9 +128,10 @@ static double forecast_steps(const struct forecast *f, const struct schedule *s,
                 forecast_densify(f, s, forecast_all(f, s, *gaussians));
         from = step;
         if (x > done && count > done + 1) /* the parabola from here on */
-            *gaussians = (double)schedule_cap((size_t)begin, s->budget, x - done, count - done);
+            *gaussians =
+                (double)schedule_cap((size_t)begin, schedule_grows(s), x - done, count - done);
     }
-    return work + (s->steps - from) * forecast_step(f, s, forecast_all(f, s, *gaussians));
+    return work + forecast_grown(f, s, from, gaussians);
 }
 
 void forecast_add(struct forecast *f, const struct stage *at, uint32_t first, double gaussians,
@@ -130,8 +154,7 @@ double forecast_left_s(const struct forecast *f, const struct stage *now, double
         const bool here = i == now->at && at->turned == now->turned;
         const struct schedule *s = &at->levels[i];
         if (!here && s->derived) {
-            left += FORECAST_THIN * schedule_thinnings_derived(s) *
-                    (double)thin_views(s, f->n_images) * forecast_step(f, s, forecast_all(f, s, n));
+            left += schedule_thinnings_derived(s) * forecast_thin(f, s, forecast_all(f, s, n));
             n *= s->thin_share;
         }
         left += forecast_steps(f, s, here ? at->step : 0, &n);

@@ -241,7 +241,7 @@ enum err_code level_next(struct level *l, struct err *e)
     const struct schedule *s = stage_schedule(at);
     if (at->start > s->budget && !s->derived)
         log_warn("train",
-                 "level %u starts with %zu Gaussians, its budget is %zu: none will be added",
+                 "level %u starts with %zu Gaussians, its budget is %zu: they become no more",
                  s->level, at->start, s->budget);
     return level_begin(l, e);
 }
@@ -365,7 +365,7 @@ void level_last_end(struct level_last *r, struct level *l)
 static bool level_thins(const struct level *l)
 {
     const struct schedule *s = stage_schedule(&l->stage);
-    return (s->derived || l->cfg->thin_db > 0.0) && schedule_thinning(s, l->stage.step);
+    return (s->derived || l->model.gauss.n > s->budget) && schedule_thinning(s, l->stage.step);
 }
 
 /* No more than the scene needs, or than the level may have. */

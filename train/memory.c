@@ -70,7 +70,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                                      light ? (uint32_t)cfg->embed_len : 0);
     double n = 0.0, around = 0.0, pixels = 0.0, photometric_pixels = 0.0, downsample = HUGE_VAL;
     for (uint32_t i = 0; i < n_levels; i++) {
-        n = fmax(n, (double)levels[i].budget);
+        n = fmax(n, (double)schedule_grows(&levels[i]));
         around = fmax(around, (double)levels[i].around);
         downsample = fmin(downsample, levels[i].downsample);
     }

@@ -11,6 +11,7 @@
 #include "train/base/schedule.h"
 #include "train/density/budget.h"
 
+#include <math.h>
 #include <stdio.h>
 
 enum { PHOTOS = 40 };
@@ -84,6 +85,18 @@ static void what_fits_is_worked_out_by_hand(void **state)
     assert_int_equal(levels[0].budget, 20000);
     assert_in_range(levels[1].budget, 59700, 60300);
     assert_int_equal(levels[2].budget, 100000);
+    /* A level that is thinned afterwards grows to what fits. */
+    for (size_t i = 0; i < TRAIN_LEVELS_MAX; i++)
+        levels[i] = (struct schedule){.level = (uint32_t)i + 1,
+                                      .n_levels = TRAIN_LEVELS_MAX,
+                                      .steps = 1000,
+                                      .densify_until = 500,
+                                      .downsample = 4.0 / pow(2.0, (double)i),
+                                      .budget = 100000};
+    limit(&s, list, 0, &c, levels);
+    assert_in_range(levels[1].budget, 59700, 60300);
+    assert_int_equal(levels[2].budget, 80000);
+    assert_int_equal(schedule_grows(&levels[2]), 120000);
     arena_free(&a);
 }
 

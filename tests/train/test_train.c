@@ -215,30 +215,28 @@ static size_t thinnings(const char *out, size_t *least, size_t *most)
     return n;
 }
 
-/* From nothing to all that can go: a run ends, and never has more than its budget. More dB leave
- * fewer, at most a third goes at a time, and no Gaussian is added afterwards. */
-static void thinning_leaves_what_the_option_says(void **state)
+/* The finest level grows to one and a half budgets and is thinned to its budget, and no Gaussian is
+ * added afterwards. Where no step would be left to recover, it grows to its budget alone. */
+static void the_finest_level_grows_and_is_thinned_to_its_budget(void **state)
 {
-    static const double db[] = {0.0, 0.02, 0.05, 100.0};
-    enum { RUNS = sizeof db / sizeof db[0], BUDGET = 150 };
-    size_t left[RUNS];
-    for (size_t i = 0; i < RUNS; i++) {
+    enum { BUDGET = 100 };
+    static const double until[] = {0.5, 1.0};
+    for (size_t i = 0; i < sizeof until / sizeof until[0]; i++) {
         size_t least, most;
         struct trial t;
         trial_open(&t);
-        t.c.thin_db = db[i];
+        t.c.budget.v[0] = 80;
+        t.c.budget.v[1] = t.c.budget.v[2] = BUDGET;
+        t.c.densify_until.v[2] = until[i];
         t.c.prune_contribution = 0.0;
         t.c.prune_support = 0;
         kit_ok(trial_run(&t), t.e);
-        assert_int_equal(thinnings(t.out, &least, &most), db[i] > 0.0 ? 3 : 0);
-        left[i] = t.r.cells[0].n_gaussians[2];
-        if (db[i] > 0.0)
-            assert_true(most <= BUDGET && left[i] == least);
-        assert_true(left[i] <= BUDGET && (i == 0 || left[i] < left[i - 1]));
+        const size_t n = thinnings(t.out, &least, &most), left = t.r.cells[0].n_gaussians[2];
+        assert_int_equal(n, i == 0 ? 3 : 0);
+        assert_int_equal(left, BUDGET);
+        assert_true(n == 0 || (most == 3 * BUDGET / 2 && least == BUDGET));
         trial_close(&t);
     }
-    printf("thinned: %zu, %zu, %zu and %zu Gaussians\n", left[0], left[1], left[2], left[3]);
-    assert_int_equal(left[RUNS - 1], 45); /* of 150: 100, 67, 45 */
 }
 
 /* PSNR of the training photographs at the last step of a level, by the run's metrics. */
@@ -540,7 +538,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(the_feed_shows_every_photograph_once_an_epoch_within_its_cache),
         cmocka_unit_test(the_feed_cuts_photographs_to_their_windows),
         cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
-        cmocka_unit_test(thinning_leaves_what_the_option_says),
+        cmocka_unit_test(the_finest_level_grows_and_is_thinned_to_its_budget),
         cmocka_unit_test(coarser_levels_are_made_of_the_finest),
         cmocka_unit_test(levels_that_are_trained_once_are_pruned),
         cmocka_unit_test(twenty_steps_give_the_golden_trace),

@@ -21,6 +21,9 @@
 #define SCHEDULE_LR_FINAL 1.6e-6    /* rate of positions at a level's end, half cell edges; 3DGS */
 #define SCHEDULE_LR_RESTART 0.5     /* of lr_mean, at the start of levels after the first */
 #define SCHEDULE_SH_INTERVAL 1000.0 /* steps before the next degree of harmonics; 3DGS */
+/* The finest level grows to so many budgets, then the cheapest Gaussians go. Measured:
+ * docs/decisions/012-importance-and-pruning.md. */
+#define SCHEDULE_GROWTH 1.5
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Steps of the levels as published, coarsest first. */
@@ -162,6 +165,24 @@ static void schedule_rates(const struct train_config *cfg, const struct cell *ce
     s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
 }
 
+/* Steps between the thinnings after growth; 0: the level is too short for them. */
+static uint32_t schedule_thin_every(const struct schedule *s)
+{
+    const uint32_t from = s->densify_until;
+    return s->steps > from ? (s->steps - from) / SCHEDULE_THIN_PARTS : 0;
+}
+
+double schedule_growth(const struct schedule *s)
+{
+    const bool thins = s->level == s->n_levels && s->densify_until && schedule_thin_every(s);
+    return thins ? SCHEDULE_GROWTH : 1.0;
+}
+
+size_t schedule_grows(const struct schedule *s)
+{
+    return (size_t)floor(schedule_growth(s) * (double)s->budget);
+}
+
 static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
                           double kappa, const struct cell *cell, struct schedule *s)
 {
@@ -170,10 +191,10 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     double floor_steps = fmin((double)b->interval, (double)cfg->densify_interval_min);
     s->kappa = kappa;
     s->downsample = b->downsample;
-    s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
     s->interval = schedule_round(fmax(interval, floor_steps));
     s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
     s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
+    s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
     /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
     s->reset_interval = cfg->reset_interval > 0
                             ? schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0))
@@ -270,14 +291,14 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     return ERR_OK;
 }
 
-size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n)
+size_t schedule_cap(size_t start, size_t most, uint32_t x, uint32_t n)
 {
-    if (start >= budget)
+    if (start >= most)
         return start;
     if (n <= 1 || x >= n - 1)
-        return budget;
+        return most;
     double u = (double)x / (double)(n - 1);
-    return start + (size_t)floor((double)(budget - start) * (2.0 * u - u * u));
+    return start + (size_t)floor((double)(most - start) * (2.0 * u - u * u));
 }
 
 size_t schedule_cap_outside(const struct schedule *s)
@@ -294,7 +315,7 @@ static uint32_t schedule_densify_last(const struct schedule *s)
 
 size_t schedule_most(const struct schedule *s, const struct cell *cell)
 {
-    return s->budget + (cell->whole ? 0 : schedule_cap_outside(s));
+    return schedule_grows(s) + (cell->whole ? 0 : schedule_cap_outside(s));
 }
 
 uint32_t schedule_densify_count(const struct schedule *s)
@@ -339,14 +360,13 @@ static uint32_t schedule_thinning_from(uint32_t step, uint32_t from, uint32_t ev
 
 uint32_t schedule_thinning(const struct schedule *s, uint32_t step)
 {
-    uint32_t from = s->densify_until, rest = s->steps > from ? s->steps - from : 0;
-    uint32_t every = rest / SCHEDULE_THIN_PARTS;
+    const uint32_t every = schedule_thin_every(s);
     if (s->last || s->still)
         return 0;
     if (s->derived)
         return schedule_thinning_from(step, 1, every ? every : 1, schedule_thinnings_derived(s));
-    return s->level == s->n_levels && from
-               ? schedule_thinning_from(step, from, every, SCHEDULE_THINNINGS)
+    return s->level == s->n_levels && s->densify_until
+               ? schedule_thinning_from(step, s->densify_until, every, SCHEDULE_THINNINGS)
                : 0;
 }
 

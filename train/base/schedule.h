@@ -17,7 +17,7 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     uint32_t steps;
     uint32_t tuned; /* --level-order both: steps of the level when it is made of the finer one */
     double downsample;
-    size_t budget; /* Gaussians inside the cell */
+    size_t budget; /* most Gaussians inside the cell at the end */
     size_t around; /* Gaussians of the coarse model around the cell */
     uint32_t interval, densify_from,
         densify_until;               /* densify if from < step < until and interval | step */
@@ -59,13 +59,17 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
  * schedule_make. */
 struct schedule schedule_again(const struct schedule *s, const struct schedule *finer,
                                const struct train_config *cfg);
+/* What the level grows to, in budgets: more than 1 where it is thinned afterwards. */
+double schedule_growth(const struct schedule *s);
+/* The same as a number of Gaussians inside the cell. */
+size_t schedule_grows(const struct schedule *s);
 /* Largest number of Gaussians inside the cell at densification x of n: a parabola that rises fast
- * at first, from `start` at x = 0 to `budget` at x = n - 1. If start >= budget it is start. If n <=
- * 1 it is budget. */
-size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
+ * at first, from `start` at x = 0 to `most` at x = n - 1. If start >= most it is start. If n <= 1
+ * it is most. */
+size_t schedule_cap(size_t start, size_t most, uint32_t x, uint32_t n);
 /* Largest number of Gaussians outside the cell: those that the level began with, and some more. */
 size_t schedule_cap_outside(const struct schedule *s);
-/* Number of Gaussians, inside the cell and outside, that a level's budget allows. */
+/* Largest number of Gaussians, inside the cell and outside, that a level ever has. */
 size_t schedule_most(const struct schedule *s, const struct cell *cell);
 /* The n of schedule_cap. It counts x = 0, which no step uses. */
 uint32_t schedule_densify_count(const struct schedule *s);

@@ -38,7 +38,8 @@ void budget_limit(const struct budget_photos *p, const struct train_config *cfg,
     for (int64_t i = 0; cfg->budget_rule != BUDGET_TABLE && i < cfg->level_count; i++) {
         struct schedule *l = &levels[i];
         size_t table = l->budget;
-        size_t fit = budget_fit(p, cfg, l->downsample, table);
+        size_t fit = budget_fit(p, cfg, l->downsample, schedule_grows(l));
+        fit = (size_t)((double)fit / schedule_growth(l));
         l->budget = fit > before ? fit : before;
         before = l->budget;
         if (l->budget < table)

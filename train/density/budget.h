@@ -1,5 +1,5 @@
 /* The number of Gaussians that a level may grow to: that of the table of budgets, or what the
- * photographs support if that is less. How many of them stay: train/density/thin.h.
+ * photographs support if that is less. How many of them stay: schedule_growth.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,7 +20,7 @@ struct budget_photos {
     const double *shares;   /* [n] share of each that shows the cell, 0..1; NULL: all of it */
     size_t n, n_points;     /* n_points: Gaussians that training starts from */
 };
-/* The budget that n photographs of a level support: density * sum of share * sqrt(w h) px. It is at
+/* What a level may grow to by n photographs: density * sum of share * sqrt(w h) px. It is at
  * least n_points, and at most `table`. It grows with the side of a picture and not with the area,
  * because detail grows with the length of edges. Shares make the budgets of cells add up to that of
  * the scene. */

@@ -162,7 +162,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
     bool limits = schedule_limits_size(s, r->at->step);
     struct densify_params p = {
         .cell = &site->cell,
-        .cap_inside = schedule_cap(r->at->start, s->budget, x, schedule_densify_count(s)),
+        .cap_inside = schedule_cap(r->at->start, schedule_grows(s), x, schedule_densify_count(s)),
         .cap_outside = schedule_cap_outside(s),
         .tau = s->tau,
         .tau_outside = DENSIFY_TAU_OUTSIDE,

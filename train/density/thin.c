@@ -1,17 +1,14 @@
 /* Thinning: no more Gaussians than a scene needs, or than a level may have.
  *
- * While a level grows, gradients ask for Gaussians wherever there is error, up to a budget that
- * counts photographs. Many of them repeat what is there. Once growth has ended, every Gaussian has
- * a price: the squared change of all pixels of all training
- * photographs if it alone were not drawn. It is the second-order term of the rise of the squared
- * error; the first-order term is near 0 in a trained model. What lies behind shows through, so a
- * Gaussian in front of others of its colour costs little, and the only one before a background of
- * another colour costs much.
+ * While a level grows, gradients ask for Gaussians wherever there is error. Many of them repeat
+ * what is there. Once growth has ended, every Gaussian has a price: the squared change of all
+ * pixels of all training photographs if it alone were not drawn. It is the second-order term of the
+ * rise of the squared error; the first-order term is near 0 in a trained model. What lies behind
+ * shows through, so a Gaussian in front of others of its colour costs little, and the only one
+ * before a background of another colour costs much.
  *
- * The cheapest go until their prices add up to a share of the present error, or until the level has
- * its number. The steps that remain repair most of the loss. It happens a few times, since a price
- * holds while the neighbours stay. By share of error at most a third goes at once, so a level that
- * does not fit its photographs, whose error is large, is not emptied.
+ * The cheapest go until the level has its number. The steps that remain repair most of the loss. It
+ * happens a few times, since a price holds while the neighbours stay.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -36,7 +33,6 @@ enum {
     THIN_AGAIN = 3,        /* of a derived level */
     THIN_LEAST = 16,       /* photographs that are drawn, if there are so many */
     THIN_LEAST_AGAIN = 96, /* of a derived level */
-    THIN_MOST = 3,         /* at most this part of the Gaussians goes at once */
     THIN_CHUNK = 16384     /* Gaussians that a thread takes at a time */
 };
 
@@ -170,10 +166,6 @@ enum err_code thin_choose(const float *rise, const uint16_t *views, size_t n,
         const bool priced = views[i] || rule->all_drawn;
         if (gone[side] == rule->most[side])
             continue;
-        if (!priced && isfinite(rule->limit))
-            break;
-        if (*given + (double)rise[i] > rule->limit)
-            break;
         *given += priced ? (double)rise[i] : 0.0;
         goes[i] = 1;
         gone[side]++;
@@ -206,6 +198,11 @@ static void thin_even(const struct thin *c, struct thin_report *r)
 
 size_t thin_inside(const struct schedule *s, uint32_t nth, size_t n)
 {
+    if (!s->derived) {
+        const double left = SCHEDULE_THINNINGS - nth, over = (double)n / (double)s->budget;
+        const double most = (double)s->budget * pow(over, left / (left + 1.0));
+        return over > 1.0 ? (size_t)floor(most) : n;
+    }
     const uint32_t all = schedule_thinnings_derived(s);
     const size_t stay = (size_t)floor((double)n * pow(s->thin_share, 1.0 / (double)all));
     const size_t most = nth < all || s->budget > stay ? stay : s->budget;
@@ -224,16 +221,11 @@ static enum err_code thin_make_rule(struct thin *c, uint8_t *outside, struct thi
 {
     const struct schedule *s = stage_schedule(c->at);
     const size_t n = c->m->gauss.n;
-    rule->most[0] = n / THIN_MOST;
-    rule->limit = (pow(10.0, c->gallery->cfg->thin_db / 10.0) - 1.0) * c->error;
-    if (!s->derived)
-        return ERR_OK;
     size_t inside = 0;
     enum err_code rc = model_count_inside(c->m, &c->site->cell, outside, &inside, e);
     rule->outside = outside;
-    rule->limit = HUGE_VAL;
     rule->most[0] = inside - thin_inside(s, c->nth, inside);
-    rule->most[1] = n - inside - thin_outside(s, n - inside);
+    rule->most[1] = s->derived ? n - inside - thin_outside(s, n - inside) : 0;
     return rc;
 }
 

@@ -1,8 +1,6 @@
 /* Thins a level: removes the Gaussians whose removal is predicted to cost the least. The steps
- * that follow recover most of it. It happens for two reasons. A coarser level is the finer one
- * thinned down to its share of Gaussians. And with --thin-db the finest level loses in its middle
- * as many as may cost a given share of the squared error of the training photographs; the number
- * of Gaussians then follows from the scene, and hardly from the seed.
+ * that follow recover most of it. The finest level grows beyond its budget and is thinned down to
+ * it in its middle. A coarser level is the finer one thinned down to its share of Gaussians.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -32,10 +30,9 @@ struct thin_report {
 /* Draws training photographs of the current level, each in its own appearance and with the
  * background of the step. For every Gaussian it sums over their pixels the squared change of colour
  * if it alone were not there, brought to the mean number of photographs that show a Gaussian. The
- * least are removed, of the finest level until the sum of these prices is the share of the squared
- * error that lowers the PSNR by cfg->thin_db, and at most a third; of a derived level as many as
- * leave its share of Gaussians, inside the cell and outside, after the last thinning
- * (schedule_thinning). Outside, as many as came from the coarse model are no part of that.
+ * least are removed. After the last thinning (schedule_thinning) the finest level has its budget
+ * inside the cell; nothing goes outside. A derived level has its share of Gaussians, inside and
+ * outside; outside, as many as came from the coarse model are no part of that.
  * Gaussians that no photograph shows cost nothing, or go last if a short level draws only some of
  * the photographs. Moments are kept, statistics of density control become 0. ERR_CANCEL: stopped
  * by a signal, and nothing was removed. ERR_MEM, ERR_DEVICE, and the errors of
@@ -45,13 +42,13 @@ enum err_code thin_run(struct model *m, struct gallery *g, struct background *ba
                        struct err *e) ERR_USE;
 /* Photographs that a thinning of the level draws, of n. */
 size_t thin_views(const struct schedule *s, size_t n);
-/* How many Gaussians of n stay at a thinning of a derived level; nth: from 1. */
+/* How many Gaussians of n stay inside at a thinning of the level, and outside at one of a derived
+ * level; nth: from 1. */
 size_t thin_inside(const struct schedule *s, uint32_t nth, size_t n);
 size_t thin_outside(const struct schedule *s, size_t n);
 
 enum { THIN_SIDES = 2 };
 struct thin_rule {
-    double limit;            /* largest sum of the prices of what is removed */
     bool all_drawn;          /* all photographs were drawn */
     const uint8_t *outside;  /* [n] side of each; NULL: all are on side 0 */
     size_t most[THIN_SIDES]; /* of each side that may go */
