@@ -213,17 +213,12 @@ struct layout_counts {
 #define LAYOUT_SLOT_DEPTH_V 13
 #define LAYOUT_SLOT_FLOATS 14
 
-/* Sums that render_importance_run makes for a Gaussian. Its slots hold the first
- * LAYOUT_IMPORTANCE_SLOT of them. */
-#define LAYOUT_IMPORTANCE_WEIGHT 0
+/* Sums that render_importance_run makes for a Gaussian, and its slots hold. */
+#define LAYOUT_IMPORTANCE_WEIGHT 0 /* alpha T times the pixel's weight */
 #define LAYOUT_IMPORTANCE_PIXELS 1
-#define LAYOUT_IMPORTANCE_SHARE 2    /* alpha T */
-#define LAYOUT_IMPORTANCE_DISTANCE 3 /* distance of the pixel from the mean, px */
-#define LAYOUT_REMOVAL_RISE 0        /* of render_removal_run, in the place of the weight */
-#define LAYOUT_IMPORTANCE_SLOT 4
-#define LAYOUT_IMPORTANCE_DEPTH 4  /* m */
-#define LAYOUT_IMPORTANCE_RADIUS 5 /* px */
-#define LAYOUT_IMPORTANCE_SUMS 8   /* the last two are 0 */
+#define LAYOUT_IMPORTANCE_SHARE 2 /* alpha T */
+#define LAYOUT_REMOVAL_RISE 0     /* of render_removal_run, in the place of the weight */
+#define LAYOUT_IMPORTANCE_SUMS 4  /* the last one is 0 */
 
 /* Depth maps of a frame, see render/surface.cl. */
 #define LAYOUT_SURFACE_MEDIAN 0

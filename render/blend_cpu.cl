@@ -275,7 +275,7 @@ INLINE void blend_tile(__constant struct layout_view *view,
             if (blocks)
                 blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks, kind,
                             kind == BLEND_SHARES
-                                ? slots + (size_t)intersection_slot[at + j] * LAYOUT_IMPORTANCE_SLOT
+                                ? slots + (size_t)intersection_slot[at + j] * LAYOUT_IMPORTANCE_SUMS
                                 : slots);
             if (hit)
                 hits[at + j] = (ushort)blocks;

@@ -1,21 +1,17 @@
 // Stage: importance of splats in a frame, for density control. On CPUs it is compiled after
 // blend_cpu.cl and blend_backward.cl, and uses their hits and sums. It repeats the blending of the
 // last frame and sums, for every Gaussian, over the pixels in which it was blended:
-//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of,
-//        depth_key: the frame; hits, tile_stop: what blend drew (CPUs); weight [h][w]: weight of a
-//        pixel
-//   out  slots [intersections][LAYOUT_IMPORTANCE_SLOT] (cleared by the host): weight, 1, alpha T,
-//        distance of the pixel from the mean
-//        sums [n][LAYOUT_IMPORTANCE_SUMS]: those four, then depth in m, half-size in px, 0, 0; all
-//        0 where invisible
-// A slot has one writer and the order is fixed: the same input gives the same bits. The sums are
-// those of Taming 3DGS, Mallick et al. 2024.
+//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of: the frame;
+//        hits, tile_stop: what blend drew (CPUs); weight [h][w]: weight of a pixel
+//   out  slots [intersections][LAYOUT_IMPORTANCE_SUMS] (cleared by the host): alpha T weight, 1,
+//        alpha T, 0
+//        sums [n][LAYOUT_IMPORTANCE_SUMS]: the same of all tiles; 0 where invisible
+// A slot has one writer and the order is fixed: the same input gives the same bits.
 //
-// share_tiles (GPUs; blend_shares elsewhere) has no weights: it sums 1 and alpha T alone, the other
-// two are 0.
+// share_tiles (GPUs; blend_shares elsewhere) has no weights: it sums 1 and alpha T alone.
 //
-// removal_tiles has the frame's color [3][h][w] as well, and in place of the weight and the
-// distance sums weight d.d, the squared change of a pixel if this Gaussian alone were not there:
+// removal_tiles has the frame's color [3][h][w] as well, and in place of alpha T weight sums weight
+// d.d, the squared change of a pixel if this Gaussian alone were not there:
 //     d = alpha T rgb - rest alpha / (1 - alpha),   rest: the colour of the pixel from behind it,
 // which is what the frame has less what was summed up to here. Nothing walks back through small T.
 // Reference: tests/render/test_importance.c draws without it.
@@ -50,7 +46,7 @@ INLINE void importance_load(struct importance_state *s, __constant struct layout
 INLINE void importance_splat(struct importance_state *s, const float *w, float x0, float y0,
                              uint blocks, const int kind, __global float *slot)
 {
-    float16 first = 0.0f, count = 0.0f, shares = 0.0f, last = 0.0f;
+    float16 first = 0.0f, count = 0.0f, shares = 0.0f;
     struct record e = record_of(w, x0, y0);
     while (blocks) {
         uint k = 31 - clz(blocks);
@@ -63,10 +59,8 @@ INLINE void importance_splat(struct importance_state *s, const float *w, float x
         s->t[k] = t - share;
         count += one;
         shares += share;
-        if (kind == IMPORTANCE_ALL) {
-            first += one * s->weight[k];
-            last += one * sqrt(dx * dx + dy * dy);
-        }
+        if (kind == IMPORTANCE_ALL)
+            first += share * s->weight[k];
         if (kind == IMPORTANCE_REMOVAL) {
             float16 sum = 0.0f, odds = a / (1.0f - a);
             for (uint c = 0; c < 3; c++) {
@@ -78,7 +72,7 @@ INLINE void importance_splat(struct importance_state *s, const float *w, float x
             first += s->weight[k] * sum;
         }
     }
-    float16 sums = fold_4(fold_8(first, count), fold_8(shares, last));
+    float16 sums = fold_4(fold_8(first, count), fold_8(shares, (float16)(0.0f)));
     sums = fold_2(sums, sums);
     vstore4(fold_1(sums, sums).s0123, 0, slot);
 }
@@ -108,9 +102,9 @@ importance_tile(__constant struct layout_view *view, __global const struct layou
                                 staged, mask, slot);
         for (uint j = 0; j < n; j++) {
             uint next = slot[min(j + AHEAD, n - 1)];
-            PREFETCH(slots + (size_t)next * LAYOUT_IMPORTANCE_SLOT);
+            PREFETCH(slots + (size_t)next * LAYOUT_IMPORTANCE_SUMS);
             importance_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, mask[j], kind,
-                             slots + (size_t)slot[j] * LAYOUT_IMPORTANCE_SLOT);
+                             slots + (size_t)slot[j] * LAYOUT_IMPORTANCE_SUMS);
         }
     }
 }
@@ -164,7 +158,7 @@ importance_tiles(__constant struct layout_view *v, __global const struct layout_
         float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
         float share = MIN_(raw, LAYOUT_ALPHA_MAX) * t;
         int hit = t > LAYOUT_TRANSMITTANCE_MIN && raw > 0.0f;
-        part[lane] = hit ? (float4)(own, 1.0f, share, sqrt(dx * dx + dy * dy)) : (float4)(0.0f);
+        part[lane] = hit ? (float4)(own * share, 1.0f, share, 0.0f) : (float4)(0.0f);
         t = hit ? t - share : t;
         for (uint half_n = LAYOUT_TILE_PIXELS / 2; half_n; half_n /= 2) {
             barrier(CLK_LOCAL_MEM_FENCE);
@@ -172,7 +166,7 @@ importance_tiles(__constant struct layout_view *v, __global const struct layout_
                 part[lane] += part[lane + half_n];
         }
         if (lane == 0)
-            vstore4(part[0], 0, slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at]);
+            vstore4(part[0], 0, slots + LAYOUT_IMPORTANCE_SUMS * (size_t)intersection_slot[at]);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
@@ -204,7 +198,7 @@ share_tiles(__constant struct layout_view *v, __global const struct layout_splat
         }
         if (lane == 0)
             vstore4((float4)(0.0f, part[0], 0.0f), 0,
-                    slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at]);
+                    slots + LAYOUT_IMPORTANCE_SUMS * (size_t)intersection_slot[at]);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
@@ -243,41 +237,23 @@ removal_tiles(__constant struct layout_view *v, __global const struct layout_spl
                 part[lane] += part[lane + half_n];
         }
         if (lane == 0)
-            vstore4(part[0], 0, slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at]);
+            vstore4(part[0], 0, slots + LAYOUT_IMPORTANCE_SUMS * (size_t)intersection_slot[at]);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
 
 #endif
 
-// Half-size of the box around a splat where it reaches 1/255, px: the larger of width and height.
-inline float importance_radius(const struct layout_splat *e)
-{
-    float s11 = 0.5f * LOG2E / (e->r * e->r);
-    float s00 = 0.5f * LOG2E / (e->p * e->p) + e->x_of_y * e->x_of_y * s11;
-    float reach = 2.0f * (e->opacity_log2 - LAYOUT_ALPHA_MIN_LOG2) / LOG2E;
-    reach = MIN_(reach, LAYOUT_EXTENT_MAX * LAYOUT_EXTENT_MAX);
-    float largest = MAX_(s00, s11);
-    return reach > 0.0f ? sqrt(reach * largest) : 0.0f;
-}
-
-__kernel void importance_gather(uint n, __global const struct layout_splat *splats,
-                                __global const uint *depth_key, __global const uint *tiles_of,
+__kernel void importance_gather(uint n, __global const uint *tiles_of,
                                 __global const uint *slot_first, __global const float *slots,
                                 __global float *sums)
 {
     uint i = get_global_id(0);
     if (i >= n)
         return;
-    float4 sum = (float4)(0.0f), shape = (float4)(0.0f);
+    float4 sum = (float4)(0.0f);
     uint tiles = tiles_of[i], first = slot_first[i];
-    if (tiles) {
-        struct layout_splat e = splats[i];
-        shape.x = as_float(depth_key[i]);
-        shape.y = importance_radius(&e);
-    }
     for (uint k = 0; k < tiles; k++)
         sum += vload4(first + k, slots);
-    vstore4(sum, 2 * (size_t)i, sums);
-    vstore4(shape, 2 * (size_t)i + 1, sums);
+    vstore4(sum, i, sums);
 }

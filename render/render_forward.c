@@ -458,7 +458,7 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
 /* Slots of shares, which blending writes where it draws. */
 static enum err_code render_stage_slots(struct render *r, struct err *e)
 {
-    size_t bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SLOT * sizeof(float);
+    size_t bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SUMS * sizeof(float);
     if (!r->shares || r->dev->vector_width == 1)
         return ERR_OK;
     enum err_code rc = frame_reserve(r, &r->slots, bytes, e);

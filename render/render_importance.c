@@ -109,8 +109,7 @@ static enum err_code render_importance_gather(struct render_importance *s, uint3
 {
     struct render *r = s->render;
     cl_uint count = n;
-    cl_mem args[] = {r->splats.mem,     r->depth_key.mem, r->tiles_of.mem,
-                     r->slot_first.mem, r->slots.mem,     s->sums.mem};
+    cl_mem args[] = {r->tiles_of.mem, r->slot_first.mem, r->slots.mem, s->sums.mem};
     cl_int bad = dev_arg(s->gather, 0, count);
     for (cl_uint i = 0; i < sizeof args / sizeof args[0]; i++)
         bad |= dev_arg(s->gather, i + 1, args[i]);
@@ -134,7 +133,7 @@ static enum err_code render_importance_sum(struct render_importance *s, cl_kerne
         return err_set(e, ERR_ARG, "render_importance: the frame was drawn without shares");
     if (m->n == 0)
         return ERR_OK;
-    size_t slots_bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SLOT * sizeof(float);
+    size_t slots_bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SUMS * sizeof(float);
     size_t sums_bytes = (size_t)m->n * LAYOUT_IMPORTANCE_SUMS * sizeof(float);
     enum err_code rc = dev_unmap(r->dev, s->sums.mem, &s->seen, e);
     if (!rc)

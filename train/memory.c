@@ -27,10 +27,10 @@ enum {
     MEMORY_CHOICE = 44, /* the plan's rows and their Morton order; its lists need less */
     MEMORY_MOVE = 52,   /* sources of rows, halves and their means, spare rows */
     MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4, /* of a view */
-    MEMORY_SCORES = 4 * 4 + 2,                /* opacity, volume, mean gradient, score; classes */
+    MEMORY_SCORES = 2 * 4 + 2,                /* mean gradient, score; classes */
     MEMORY_FRAME_PX = 7 * 4,                  /* colour, transmittance, gradient of the colour */
     MEMORY_LOSS_PX = 9 * 4,                   /* derivative maps of SSIM, less margins; GPUs */
-    MEMORY_HOST_PX = 3 + 1 + 3 * 4,           /* photograph, mask, weights and edges of the score */
+    MEMORY_HOST_PX = 3 + 1 + 4,               /* photograph, mask, errors of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8,         /* drawing, and planes of doubles of SSIM and GMSD */
     MEMORY_DECODERS = 2,                      /* photo_loader's thread and the training's */
     MEMORY_THIN = 4 + 2 + 1 + 4,              /* price, photographs, side, rows that stay */

@@ -26,6 +26,7 @@
 
 #include "codec/container/ckpt.h"
 #include "codec/scene/scene.h"
+#include "core/layout.h"
 #include "core/math/sort.h"
 #include "lab/bench/bench.h"
 #include "lab/bench/test_views.h"
@@ -37,7 +38,7 @@
 #include "train/train.h"
 #include "train/train_scene.h"
 
-enum { NAME_MAX_BYTES = 64, SIZES = 3, SUMS = 8, SHARE = 2, EDGE_MIN_PX = 16 };
+enum { NAME_MAX_BYTES = 64, SIZES = 3, EDGE_MIN_PX = 16 };
 
 struct pyr_level {
     struct gauss g;
@@ -194,7 +195,7 @@ static enum err_code pyramid_contribution(struct pyr *p, struct err *e)
         if (!rc)
             rc = render_importance_run(score, &m, weight, &sums, e);
         for (size_t i = 0; !rc && i < l->g.n; i++)
-            p->given[i] += sums[SUMS * i + SHARE];
+            p->given[i] += sums[LAYOUT_IMPORTANCE_SUMS * i + LAYOUT_IMPORTANCE_SHARE];
     }
     dev_release(&weight);
     render_importance_close(&score);

@@ -131,7 +131,9 @@ static void expect_below_the_estimate(enum kind kind)
     (void)peak_of(program, MEMORY_SMALL, MEMORY_SMALL, kind, &n_small, &small);
     size_t base = peak_of(program, MEMORY_SMALL, MEMORY_SMALL, kind, &n_small, &small);
     size_t peak = peak_of(program, MEMORY_MANY, MEMORY_GROWN, kind, &n_many, &many);
-    double each = ((double)peak - (double)base) / ((double)n_many - (double)n_small);
+    /* Of those that the level grew to, before it was thinned to n_many. */
+    double each =
+        ((double)peak - (double)base) / ((double)many.gaussians - (double)small.gaussians);
     int limit = appearance ? MEMORY_LIMIT_LIGHT_BYTES : MEMORY_LIMIT_BYTES;
     kit_figure("memory",
                "kind=%d bytes_per_gaussian=%.0f limit=%d estimate=%zu gaussians=%zu "

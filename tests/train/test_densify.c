@@ -613,36 +613,6 @@ static void the_draw_has_no_limit_at_two_to_the_24(void **state)
     mem_free(chosen);
 }
 
-static void importance_parts_survive_constant_and_empty_input(void **state)
-{
-    struct err e = {0};
-    float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, inverse = 1.0f;
-    uint8_t grey[3 * 4 * 5];
-    float edges[4 * 5], luma[20];
-    importance_stretch(x, 4);
-    for (int i = 0; i < 4; i++)
-        assert_true(x[i] == 0.0f);
-    importance_stretch(x, 0);
-    kit_ok(importance_inverse_median(x, 4, 1, &inverse, &e), e);
-    assert_true(inverse == 0.0f); /* none above 0 */
-    kit_ok(importance_inverse_median(x, 0, 1, &inverse, &e), e);
-    assert_true(inverse == 0.0f);
-    float y[4] = {0.0f, 4.0f, NAN, 4.0f};
-    kit_ok(importance_inverse_median(y, 4, 1, &inverse, &e), e);
-    assert_true(inverse == 0.25f);
-    const float rows[6] = {8.0f, 1.0f, 8.0f, 2.0f, 8.0f, 4.0f};
-    kit_ok(importance_inverse_median(rows + 1, 3, 2, &inverse, &e), e); /* of a column */
-    assert_true(inverse == 0.5f);
-    memset(grey, 77, sizeof grey);
-    importance_edges(grey, 4, 5, luma, edges);
-    for (int i = 0; i < 20; i++)
-        assert_true(edges[i] == 0.0f);
-    memset(grey + 3 * (1 * 4 + 2), 200, 3); /* one bright pixel: the strongest edge is there */
-    importance_edges(grey, 4, 5, luma, edges);
-    for (int i = 0; i < 20; i++)
-        assert_true(edges[i] == (i == 6 ? 1.0f : 0.0f));
-}
-
 /* Of 5 x 3 pixels the last column and the last row are left out. */
 static void a_photograph_of_half_the_edges_has_the_means_of_four(void **state)
 {
@@ -738,7 +708,6 @@ int main(void)
         cmocka_unit_test(the_draw_is_proportional_to_the_score),
         cmocka_unit_test(the_draw_has_no_limit_at_two_to_the_24),
         cmocka_unit_test(a_kept_order_is_that_of_the_plan),
-        cmocka_unit_test(importance_parts_survive_constant_and_empty_input),
         cmocka_unit_test(a_photograph_of_half_the_edges_has_the_means_of_four),
         cmocka_unit_test(neighbours_agree_with_looking_at_all_pairs),
         cmocka_unit_test(a_lone_point_does_not_become_a_huge_gaussian),

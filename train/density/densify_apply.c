@@ -204,8 +204,7 @@ static enum err_code densify_decide(struct model *m, const struct densify_run *r
     if (!rc && c->plan.report.needs_importance) {
         enum timing_on was = timing_turn(r->timing, TIMING_IMPORTANCE);
         c->score = mem_array(in.n, sizeof(float));
-        rc = c->score ? importance_run(r->importance, m, r->gallery, r->at, in.params, c->mean_grad,
-                                       c->score, e)
+        rc = c->score ? importance_run(r->importance, m, r->gallery, r->at, c->score, e)
                       : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);
         (void)timing_turn(r->timing, was);
         in.score = c->score;

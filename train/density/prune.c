@@ -19,6 +19,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/layout.h"
 #include "core/math/sort.h"
 #include "core/pool.h"
 #include "render/permute.h"
@@ -29,7 +30,6 @@
 #include "train/photographs/photo_loader.h"
 #include "train/photographs/residual.h"
 
-enum { PRUNE_SUMS = 8, PRUNE_PIXELS = 1, PRUNE_SHARE = 2 };
 enum {
     PRUNE_CHECKS = 8,   /* photographs that are drawn again */
     PRUNE_TRIALS = 6,   /* at most */
@@ -48,7 +48,7 @@ struct prune {
     const struct footprint *ground;
     struct render_importance *device;
     struct model_look look;          /* what the last view shows of the model */
-    const float *sums;               /* [look.shown.n][PRUNE_SUMS] of that view, mapped */
+    const float *sums;               /* [look.shown.n][LAYOUT_IMPORTANCE_SUMS] of it, mapped */
     float *total;                    /* [n] */
     double *mse;                     /* [n_images] of photographs as they were drawn first */
     uint16_t *views;                 /* [n] */
@@ -85,8 +85,9 @@ static enum err_code prune_add_chunk(void *user, size_t chunk, struct err *e)
     (void)e;
     for (size_t i = chunk * PRUNE_CHUNK; i < end; i++) {
         const size_t row = model_look_row(&c->look, i);
-        c->total[row] += c->sums[PRUNE_SUMS * i + PRUNE_SHARE];
-        if (c->sums[PRUNE_SUMS * i + PRUNE_PIXELS] > 0.0f && c->views[row] < UINT16_MAX)
+        c->total[row] += c->sums[LAYOUT_IMPORTANCE_SUMS * i + LAYOUT_IMPORTANCE_SHARE];
+        if (c->sums[LAYOUT_IMPORTANCE_SUMS * i + LAYOUT_IMPORTANCE_PIXELS] > 0.0f &&
+            c->views[row] < UINT16_MAX)
             c->views[row]++;
     }
     return ERR_OK;
