@@ -1,8 +1,8 @@
 // Stage: importance of splats in a frame, for density control. On CPUs it is compiled after
 // blend_cpu.cl and blend_backward.cl, and uses their hits and sums. It repeats the blending of the
 // last frame and sums, for every Gaussian, over the pixels in which it was blended:
-//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of: the frame;
-//        hits, tile_stop: what blend drew (CPUs); weight [h][w]: weight of a pixel
+//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of: the
+//        frame; hits, tile_stop: what blend drew (CPUs); weight [h][w]: weight of a pixel
 //   out  slots [intersections][LAYOUT_IMPORTANCE_SUMS] (cleared by the host): alpha T weight, 1,
 //        alpha T, 0
 //        sums [n][LAYOUT_IMPORTANCE_SUMS]: the same of all tiles; 0 where invisible

@@ -313,8 +313,9 @@ void render_importance_close(struct render_importance **s); /* call it before re
  * ERR_ARG (no frame of m was drawn), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
                                     cl_mem weight, const float **sums, struct err *e) ERR_USE;
-/* As render_importance_run, without weights: it sums pixels and alpha T. The frame was drawn with `shares` (ERR_ARG), and nothing else was summed since.
- * Errors as there: ERR_ARG, ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+/* As render_importance_run, without weights: it sums pixels and alpha T. The frame was drawn with
+ * `shares` (ERR_ARG), and nothing else was summed since. Errors as there: ERR_ARG, ERR_MEM,
+ * ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_share_run(struct render_importance *s, const struct render_model *m,
                                const float **sums, struct err *e) ERR_USE;
 /* As render_importance_run, with another sum: LAYOUT_REMOVAL_RISE is the sum of weight times the
