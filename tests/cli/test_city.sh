@@ -14,7 +14,7 @@ bad=0
 
 fail() { printf 'FAIL %s\n' "$*"; sed 's/^/    /' "$work/log" | tail -15; bad=1; }
 expect() { grep -q -- "$2" "$work/log" || fail "$1: '$2' is not said"; }
-city() { ./bootstrap city "$@" --no-serve --iterations 600 --max-edge-px 64 >"$work/log" 2>&1; }
+city() { ./bootstrap city "$@" --no-serve --iterations 2000 --max-edge-px 64 >"$work/log" 2>&1; }
 
 for place in a b; do
   "$bin-lab" synth -q -o "$work/$place/my flight" --photos 16 --width-px 64 --height-px 48 --extent-m 60 --points 600 \
@@ -22,7 +22,7 @@ for place in a b; do
 done
 
 # Stopped while it trains: the state is kept, and the next run goes on with it.
-setsid ./bootstrap city "$work/a/my flight" --no-serve --iterations 600 --max-edge-px 64 >"$work/log" 2>&1 &
+setsid ./bootstrap city "$work/a/my flight" --no-serve --iterations 2000 --max-edge-px 64 >"$work/log" 2>&1 &
 pid=$!
 for _ in $(seq 1200); do
   grep -qs '"event":"step"' "$work"/out/my-flight/scene/cells/*/metrics.jsonl && break # before it no state is worth keeping
@@ -82,7 +82,7 @@ expect "photographs alone again" "tiles are there already"
 
 # The forecast: what is known before work, and nothing is made.
 before=$(find "$work/out" | sort)
-./bootstrap city "$work/a/my flight" --dry-run --iterations 600 --max-edge-px 64 >"$work/log" 2>&1 || fail "--dry-run: exit $?"
+./bootstrap city "$work/a/my flight" --dry-run --iterations 2000 --max-edge-px 64 >"$work/log" 2>&1 || fail "--dry-run: exit $?"
 expect "--dry-run" "14 train, 2 are kept for scores"
 expect "--dry-run" "^minutes  of a processor"
 grep -Eq '^train +[0-9]+\.[0-9]' "$work/log" || fail "--dry-run: no minutes of training"

@@ -252,7 +252,7 @@ test("the picture is that of tiles which the server baked", skip, async (t) => {
             // Opacities and colours of both are rounded, each by itself, and Gaussians here are large. The
             // default light makes some brighter than white, which the server and the page cut, and tiles
             // with final colours cannot: there the server's picture alone is the measure.
-            const bright = exact && rmsDifference(own, exact) < 0.8 * rmsDifference(theirs, exact);
+            const bright = exact && rmsDifference(own, exact) < 0.85 * rmsDifference(theirs, exact);
             if (appearance || !bright)
                 assert.ok(common <= 6 && most <= 16, `differs by ${common} (99 %), ${most} (largest)`);
             if (exact) {
