@@ -59,9 +59,10 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
  * schedule_make. */
 struct schedule schedule_again(const struct schedule *s, const struct schedule *finer,
                                const struct train_config *cfg);
-/* What the level grows to, in budgets: more than 1 where it is thinned afterwards. */
+/* Ratio of the largest number of Gaussians to the budget: above 1 where the level is thinned after
+ * it has grown, else 1. */
 double schedule_growth(const struct schedule *s);
-/* The same as a number of Gaussians inside the cell. */
+/* The largest number itself, inside the cell. */
 size_t schedule_grows(const struct schedule *s);
 /* Largest number of Gaussians inside the cell at densification x of n: a parabola that rises fast
  * at first, from `start` at x = 0 to `most` at x = n - 1. If start >= most it is start. If n <= 1
