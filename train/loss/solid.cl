@@ -55,7 +55,7 @@ INLINE V pixels_ask(__global const uchar *p, uint n) // 1 where p is not 0
 }
 
 struct solid_weights { // over n
-    float spread, light, light_known, focal, soft_px, reach_px, cover, known_zeta, light_t;
+    float spread, light, light_known, focal, free_px, soft_px, reach_px, cover, known_zeta, light_t;
 };
 
 __kernel void solid_grad(__global const float *moments, __global const float *transmit,
@@ -72,16 +72,18 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         VI is_known = t_known > 0.0f, drawn = (a >= k.cover) & (a + m1 > 0.0f);
         V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
         V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
-        V about = is_known ? k.known_zeta / (is_known ? t_known : (V)(1.0f)) - 1.0f : d;
-        V v = drawn ? MAX_(second - (2.0f * d - about) * about, (V)(0.0f)) : (V)(0.0f);
-        V sigma = sqrt(v + e * e), s = px * (sigma - e), r = s / k.reach_px, more = 1.0f + r * r;
+        V b = is_known ? zeta - k.known_zeta / (is_known ? t_known : (V)(1.0f)) : (V)(0.0f);
+        V own = sqrt(drawn ? MAX_(second - d * d, (V)(0.0f)) : (V)(0.0f));
+        V u = MAX_(own - k.free_px / px, (V)(0.0f)), sigma = sqrt(b * b + u * u + e * e);
+        V r = px * (sigma - e) / k.reach_px, more = 1.0f + r * r;
         VI pulled = has_known ? drawn & is_known : drawn;
-        V w = pulled ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
+        V w_b = pulled ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
+        V w_v = u > 0.0f ? w_b * u / own : (V)(0.0f), w_bb = 2.0f * w_b * b;
         V where = has_support ? pixels_ask(supported + at, n) : (V)(0.0f);
         V slope = MIN_(t, (V)(k.light_t)) * (1.0f / k.light_t);
         V press = where * slope * (is_known ? (V)(k.light_known) : (V)(k.light));
-        pixels_store(grad + at, -2.0f * w * about, n);
-        pixels_store(grad + pixels + at, w, n);
-        pixels_store(grad + 2 * pixels + at, press - w * (2.0f * d * about - second), n);
+        pixels_store(grad + at, w_bb - 2.0f * w_v * d, n);
+        pixels_store(grad + pixels + at, w_v, n);
+        pixels_store(grad + 2 * pixels + at, press + w_bb * d + w_v * (second - 2.0f * d * d), n);
     }
 }

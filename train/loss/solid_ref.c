@@ -30,26 +30,32 @@ static bool solid_spreads(const struct solid_input *in, size_t at, const double 
            (!in->known || solid_knows(in, at));
 }
 
-/* V about m; below 0 by rounding alone. */
-static double solid_variance(struct solid_pixel p, double m)
+/* sqrt V; V is below 0 by rounding alone. */
+static double solid_deviation(struct solid_pixel p)
 {
-    return fmax(p.second - 2 * p.d * m + m * m, 0);
+    return sqrt(fmax(p.second - p.d * p.d, 0));
 }
 
-/* What the spread of a pixel is about: its known depth, or its own. */
-static double solid_about(const struct solid_input *in, size_t at, struct solid_pixel p)
+/* b: how far the mean depth is behind the known one. */
+static double solid_bias(const struct solid_input *in, size_t at, struct solid_pixel p)
 {
-    return solid_knows(in, at) ? in->known_zeta / (double)in->known[at] - 1 : p.d;
+    return solid_knows(in, at) ? p.d + 1 - in->known_zeta / (double)in->known[at] : 0;
+}
+
+/* sqrt(b^2 + u^2 + e^2); px: footprints in a unit of depth. */
+static double solid_sigma(struct solid_pixel p, double bias, double px)
+{
+    double over = fmax(solid_deviation(p) - SOLID_FREE_PX / px, 0), soft = SOLID_SOFT_PX / px;
+    return sqrt(bias * bias + over * over + soft * soft);
 }
 
 /* s of a pixel, in footprints at the depth of `held`. */
-static double solid_sigma(const struct solid_input *in, size_t at, const double m[3],
-                          const double held[3])
+static double solid_spread(const struct solid_input *in, size_t at, const double m[3],
+                           const double held[3])
 {
-    double px = in->focal_px / solid_at(held).zeta, soft = SOLID_SOFT_PX / px;
+    double px = in->focal_px / solid_at(held).zeta;
     struct solid_pixel p = solid_at(m);
-    double v = solid_variance(p, solid_about(in, at, p));
-    return px * (sqrt(v + soft * soft) - soft);
+    return px * solid_sigma(p, solid_bias(in, at, p), px) - SOLID_SOFT_PX;
 }
 
 /* h(T) */
@@ -65,7 +71,7 @@ struct solid_value solid_ref_value(const struct solid_input *in, const double *m
     size_t n = (size_t)in->width_px * in->height_px;
     for (size_t at = 0; at < n; at++) {
         if (solid_spreads(in, at, moments + 3 * at)) {
-            double c = SOLID_REACH_PX, s = solid_sigma(in, at, moments + 3 * at, held + 3 * at);
+            double c = SOLID_REACH_PX, s = solid_spread(in, at, moments + 3 * at, held + 3 * at);
             v.spread += (1 - held[3 * at + 2]) * (s / (1 + s * s / (c * c)) + c * atan(s / c)) /
                         (2 * (double)n);
         }
@@ -84,15 +90,16 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
         double *g = grad + 3 * at;
         if (solid_spreads(in, at, moments + 3 * at)) {
             struct solid_pixel p = solid_at(moments + 3 * at);
-            double px = in->focal_px / p.zeta, soft = SOLID_SOFT_PX / px,
-                   m = solid_about(in, at, p), v = solid_variance(p, m);
-            double sigma = sqrt(v + soft * soft), s = px * (sigma - soft);
-            double more = 1 + s * s / (SOLID_REACH_PX * SOLID_REACH_PX),
+            double px = in->focal_px / p.zeta, bias = solid_bias(in, at, p),
+                   sigma = solid_sigma(p, bias, px), own = solid_deviation(p);
+            double r = (px * sigma - SOLID_SOFT_PX) / SOLID_REACH_PX, more = 1 + r * r,
                    g_s = in->spread / (double)n * p.a / (more * more);
-            double g_v = g_s * px / (2 * sigma);
+            double g_b = g_s * px / (2 * sigma); /* by b^2 */
+            double g_v = own > SOLID_FREE_PX / px ? g_b * (1 - SOLID_FREE_PX / px / own) : 0;
+            g[0] += 2 * (g_b * bias - g_v * p.d) / p.a;
             g[1] += g_v / p.a;
-            g[0] -= g_v * 2 * m / p.a;
-            g[2] += g_v * (p.second - 2 * p.d * m) / p.a; /* dV/dT = -dV/dA */
+            g[2] +=
+                (2 * g_b * bias * p.d + g_v * (p.second - 2 * p.d * p.d)) / p.a; /* d/dA = -d/dT */
         }
         if (in->supported && in->supported[at])
             g[2] += (solid_knows(in, at) ? in->light_known : in->light) *
