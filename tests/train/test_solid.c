@@ -49,7 +49,7 @@ static double *moments_make(uint64_t seed)
     for (size_t i = 0; i < (size_t)PX_W * PX_H; i++) {
         double a = i % 11 ? rng_unit(seed, 1, i) : 0.02, d = 0.1 * rng_normal(seed, 2, i / 3);
         d += i % PX_W > 20 ? 0.4 : 0.0;
-        double v = 2e-4 + 0.03 * rng_unit(seed, 3, i) * rng_unit(seed, 4, i);
+        double v = 4e-4 + 0.03 * rng_unit(seed, 3, i) * rng_unit(seed, 4, i);
         m[3 * i] = a * d;
         m[3 * i + 1] = a * (d * d + v);
         m[3 * i + 2] = 1 - a;
@@ -67,7 +67,7 @@ static double weighted(const struct solid_input *in, const double *moments, cons
 static bool away(const struct solid_input *in, const double m[3])
 {
     double a = 1 - m[2], d = m[0] / a, v = m[1] / a - d * d,
-           z = SOLID_FREE_PX * (1 + d) / in->focal_px;
+           z = in->known ? SOLID_FREE_PX * (1 + d) / in->focal_px : 0;
     return fabs(a - SOLID_COVER_MIN) > 1e-4 && fabs(v - z * z) > 1e-4;
 }
 
@@ -191,11 +191,11 @@ static void test_by_hand(void **state)
     }
     v = solid_ref_value(&in, m, m);
     double mean = 0.2 / 3, var = 0.04 / 3 - mean * mean, px_m = 45 / (1 + mean), soft = 0.25 / px_m;
-    double over = sqrt(var) - SOLID_FREE_PX / px_m, bias = mean - 0.2; /* 3 footprints, 5.6 */
-    double s = px_m * (sqrt(over * over + soft * soft) - soft), r = s / SOLID_REACH_PX;
+    double s = px_m * (sqrt(var + soft * soft) - soft), r = s / SOLID_REACH_PX;
     assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_REACH_PX * atan(r))) < 1e-9);
     assert_true(fabs(v.light - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
-    in.known = all_known; /* all of it at 0.2 */
+    in.known = all_known; /* all of it at 0.2: 5.6 footprints off, and 3 more than one thick */
+    double over = sqrt(var) - SOLID_FREE_PX / px_m, bias = mean - 0.2;
     for (size_t i = 0; i < px; i++)
         all_known[i] = 1.0f;
     v = solid_ref_value(&in, m, m);
@@ -204,12 +204,14 @@ static void test_by_hand(void **state)
     assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_REACH_PX * atan(r))) < 1e-9);
     assert_true(v.light == 0.0 &&
                 fabs(v.light_known - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
-    in.known = NULL; /* a layer as thick as a footprint is free: the sheets lie 0.02 apart */
-    for (size_t i = 0; i < px; i++) {
+    for (size_t i = 0; i < px; i++) { /* sheets 0.02 apart: thinner than a footprint is free */
         m[3 * i] = 0.25 * 0.02;
         m[3 * i + 1] = 0.25 * 0.02 * 0.02;
+        all_known[i] = (float)(KNOWN_ZETA / (1 + 0.02 / 3));
     }
-    assert_true(solid_ref_value(&in, m, m).spread == 0.0);
+    assert_true(solid_ref_value(&in, m, m).spread < 1e-9);
+    in.known = NULL; /* but not where no depth holds it */
+    assert_true(solid_ref_value(&in, m, m).spread > 0.01);
     mem_free(m);
 }
 

@@ -95,11 +95,16 @@ enum err_code solid_run(struct solid *s, struct render *r, const struct solid_in
 {
     cl_uint pixels = in->width_px * in->height_px;
     double n = (double)pixels;
-    const struct solid_weights k = {(cl_float)(in->spread / n),      (cl_float)(in->light / n),
-                                    (cl_float)(in->light_known / n), (cl_float)in->focal_px,
-                                    (cl_float)SOLID_FREE_PX,         (cl_float)SOLID_SOFT_PX,
-                                    (cl_float)SOLID_REACH_PX,        (cl_float)SOLID_COVER_MIN,
-                                    (cl_float)in->known_zeta,        (cl_float)SOLID_LIGHT_T};
+    const struct solid_weights k = {(cl_float)(in->spread / n),
+                                    (cl_float)(in->light / n),
+                                    (cl_float)(in->light_known / n),
+                                    (cl_float)in->focal_px,
+                                    (cl_float)(in->known ? SOLID_FREE_PX : 0.0),
+                                    (cl_float)SOLID_SOFT_PX,
+                                    (cl_float)SOLID_REACH_PX,
+                                    (cl_float)SOLID_COVER_MIN,
+                                    (cl_float)in->known_zeta,
+                                    (cl_float)SOLID_LIGHT_T};
     cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r),
            grad = render_moments_grad_buffer(r);
     cl_uint has_support = in->supported != NULL, has_known = in->known != NULL;

@@ -78,7 +78,7 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
         V r = px * (sigma - e) / k.reach_px, more = 1.0f + r * r;
         VI pulled = has_known ? drawn & is_known : drawn;
         V w_b = pulled ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
-        V w_v = u > 0.0f ? w_b * u / own : (V)(0.0f), w_bb = 2.0f * w_b * b;
+        V w_v = own > 0.0f ? w_b * u / own : (V)(0.0f), w_bb = 2.0f * w_b * b;
         V where = has_support ? pixels_ask(supported + at, n) : (V)(0.0f);
         V slope = MIN_(t, (V)(k.light_t)) * (1.0f / k.light_t);
         V press = where * slope * (is_known ? (V)(k.light_known) : (V)(k.light));

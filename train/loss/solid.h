@@ -1,10 +1,11 @@
 /* The loss on solid surfaces has two terms. spread is small where all light of a ray comes from
- * about one depth: from about the known depth, if the pixel has one. light is small where no light passes through
- * ground that photographs see.
+ * about one depth: from the known depth, if the pixel has one. light is small where no light passes
+ * through ground that photographs see.
  *
  * For a pixel, A = 1 - T, D = sum w m / A and V = sum w m^2 / A - D^2 (render_moments_buffer). zeta
  * = 1 + D is its depth in units of the frame's depth. focal is the focal length in pixels, e =
- * SOLID_SOFT_PX zeta / focal, z = SOLID_FREE_PX zeta / focal, and n the number of pixels.
+ * SOLID_SOFT_PX zeta / focal, and n the number of pixels. In a photograph with known depths z =
+ * SOLID_FREE_PX zeta / focal, else 0.
  *
  *     spread = 1/n sum A c/2 (r / (1 + r^2) + atan r),   r = s / c,   c = SOLID_REACH_PX,
  *              s = focal / zeta (sqrt(b^2 + u^2 + e^2) - e),   u = max(sqrt V - z, 0);
@@ -13,12 +14,13 @@
  *     light  = 1/n sum of h(T) over the supported pixels; light_known: those of known depth
  * h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: closed ground has hardly any gradient
  *
- * s is how far off the depth is and how much more than a footprint of a pixel it spreads along the
- * ray, in footprints. A layer as thick as a footprint is free: in one that is thinner, which Gaussian
- * is in front of which depends on the view. The terms are A s where r is small, and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large
- * values have hardly any gradient. At an edge two surfaces share the light of a pixel. A loss with
- * a gradient there, even a small one, lifts the ground of narrow courts. A and focal / zeta are
- * constants in the gradient: else a Gaussian would lower the loss by moving away from the camera.
+ * s is how far off the depth is, and how much depths differ along the ray, in footprints of a
+ * pixel. A layer as thick as a footprint is free where its depth is known: in a thinner one the
+ * view decides which Gaussian is in front, and pictures lose. The terms are A s where r is small,
+ * and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large values have hardly
+ * any gradient. At an edge two surfaces share the light of a pixel. A loss with a gradient there,
+ * even a small one, lifts the ground of narrow courts. A and focal / zeta are constants in the
+ * gradient: else a Gaussian would lower the loss by moving away from the camera.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
@@ -32,7 +34,7 @@
 
 #include "render/render.h"
 
-#define SOLID_FREE_PX 1.0   /* a standard deviation of depth without a loss */
+#define SOLID_FREE_PX 1.0   /* a standard deviation about a known depth without a loss */
 #define SOLID_SOFT_PX 0.25  /* the gradient of smaller spreads goes to 0 */
 #define SOLID_REACH_PX 4.0  /* the gradient of larger spreads goes to 0 */
 #define SOLID_LIGHT_T 0.03  /* the gradient of less light falls with it */

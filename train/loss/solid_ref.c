@@ -42,10 +42,16 @@ static double solid_bias(const struct solid_input *in, size_t at, struct solid_p
     return solid_knows(in, at) ? p.d + 1 - in->known_zeta / (double)in->known[at] : 0;
 }
 
-/* sqrt(b^2 + u^2 + e^2); px: footprints in a unit of depth. */
-static double solid_sigma(struct solid_pixel p, double bias, double px)
+/* z; px: footprints in a unit of depth. */
+static double solid_free(const struct solid_input *in, double px)
 {
-    double over = fmax(solid_deviation(p) - SOLID_FREE_PX / px, 0), soft = SOLID_SOFT_PX / px;
+    return in->known ? SOLID_FREE_PX / px : 0;
+}
+
+/* sqrt(b^2 + u^2 + e^2) */
+static double solid_sigma(struct solid_pixel p, double bias, double free, double px)
+{
+    double over = fmax(solid_deviation(p) - free, 0), soft = SOLID_SOFT_PX / px;
     return sqrt(bias * bias + over * over + soft * soft);
 }
 
@@ -55,7 +61,7 @@ static double solid_spread(const struct solid_input *in, size_t at, const double
 {
     double px = in->focal_px / solid_at(held).zeta;
     struct solid_pixel p = solid_at(m);
-    return px * solid_sigma(p, solid_bias(in, at, p), px) - SOLID_SOFT_PX;
+    return px * solid_sigma(p, solid_bias(in, at, p), solid_free(in, px), px) - SOLID_SOFT_PX;
 }
 
 /* h(T) */
@@ -91,11 +97,11 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
         if (solid_spreads(in, at, moments + 3 * at)) {
             struct solid_pixel p = solid_at(moments + 3 * at);
             double px = in->focal_px / p.zeta, bias = solid_bias(in, at, p),
-                   sigma = solid_sigma(p, bias, px), own = solid_deviation(p);
+                   free = solid_free(in, px), sigma = solid_sigma(p, bias, free, px);
             double r = (px * sigma - SOLID_SOFT_PX) / SOLID_REACH_PX, more = 1 + r * r,
                    g_s = in->spread / (double)n * p.a / (more * more);
-            double g_b = g_s * px / (2 * sigma); /* by b^2 */
-            double g_v = own > SOLID_FREE_PX / px ? g_b * (1 - SOLID_FREE_PX / px / own) : 0;
+            double own = solid_deviation(p), g_b = g_s * px / (2 * sigma); /* by b^2 */
+            double g_v = own > free ? g_b * (1 - free / own) : 0;
             g[0] += 2 * (g_b * bias - g_v * p.d) / p.a;
             g[1] += g_v / p.a;
             g[2] +=
