@@ -15,12 +15,13 @@
  * h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: closed ground has hardly any gradient
  *
  * s is how far off the depth is, and how much depths differ along the ray, in footprints of a
- * pixel. A layer as thick as a footprint is free where its depth is known: in a thinner one the
- * view decides which Gaussian is in front, and pictures lose. The terms are A s where r is small,
- * and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so large values have hardly
- * any gradient. At an edge two surfaces share the light of a pixel. A loss with a gradient there,
- * even a small one, lifts the ground of narrow courts. A and focal / zeta are constants in the
- * gradient: else a Gaussian would lower the loss by moving away from the camera.
+ * pixel. A layer as thick as a footprint, half of one to both sides, is free where its depth is
+ * known: in a thinner one the view decides which Gaussian is in front, and pictures lose. The terms
+ * are A s where r is small, and their slopes fall with 1 / (1 + r^2)^2 (Geman and McClure 1985), so
+ * large values have hardly any gradient. At an edge two surfaces share the light of a pixel. A loss
+ * with a gradient there, even a small one, lifts the ground of narrow courts. A and focal / zeta
+ * are constants in the gradient: else a Gaussian would lower the loss by moving away from the
+ * camera.
  *
  * V is the distortion of a ray in 2DGS (Huang et al. 2024; first in Mip-NeRF 360, Barron et al.
  * 2022), without the factor A^2.
@@ -34,7 +35,7 @@
 
 #include "render/render.h"
 
-#define SOLID_FREE_PX 1.0   /* a standard deviation about a known depth without a loss */
+#define SOLID_FREE_PX 0.5   /* a standard deviation about a known depth without a loss */
 #define SOLID_SOFT_PX 0.25  /* the gradient of smaller spreads goes to 0 */
 #define SOLID_REACH_PX 4.0  /* the gradient of larger spreads goes to 0 */
 #define SOLID_LIGHT_T 0.03  /* the gradient of less light falls with it */
