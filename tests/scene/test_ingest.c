@@ -1,4 +1,5 @@
 /* From a procedural city to a scene: poses against the truth, pixels against a formula, bad input.
+ * It is one long file, because every case makes a small city by the same functions.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -10,13 +10,13 @@
 
 /* Of a pixel's three numbers. */
 struct solid_pixel {
-    double a, d, second, zeta;
+    double a, d, second, zeta, deviation; /* sqrt V */
 };
 
 static struct solid_pixel solid_at(const double m[3])
 {
-    double a = 1 - m[2];
-    return (struct solid_pixel){a, m[0] / a, m[1] / a, 1 + m[0] / a};
+    double a = 1 - m[2], d = m[0] / a, second = m[1] / a;
+    return (struct solid_pixel){a, d, second, 1 + d, sqrt(fmax(second - d * d, 0))};
 }
 
 static bool solid_knows(const struct solid_input *in, size_t at)
@@ -30,16 +30,10 @@ static bool solid_spreads(const struct solid_input *in, size_t at, const double 
            (!in->known || solid_knows(in, at));
 }
 
-/* sqrt V; V is below 0 by rounding alone. */
-static double solid_deviation(struct solid_pixel p)
-{
-    return sqrt(fmax(p.second - p.d * p.d, 0));
-}
-
 /* b: how far the mean depth is behind the known one. */
 static double solid_bias(const struct solid_input *in, size_t at, struct solid_pixel p)
 {
-    return solid_knows(in, at) ? p.d + 1 - in->known_zeta / (double)in->known[at] : 0;
+    return solid_knows(in, at) ? p.zeta - in->known_zeta / (double)in->known[at] : 0;
 }
 
 /* z; px: footprints in a unit of depth. */
@@ -51,7 +45,7 @@ static double solid_free(const struct solid_input *in, double px)
 /* sqrt(b^2 + u^2 + e^2) */
 static double solid_sigma(struct solid_pixel p, double bias, double free, double px)
 {
-    double over = fmax(solid_deviation(p) - free, 0), soft = SOLID_SOFT_PX / px;
+    double over = fmax(p.deviation - free, 0), soft = SOLID_SOFT_PX / px;
     return sqrt(bias * bias + over * over + soft * soft);
 }
 
@@ -100,12 +94,12 @@ void solid_ref_grad(const struct solid_input *in, const double *moments, double 
                    free = solid_free(in, px), sigma = solid_sigma(p, bias, free, px);
             double r = (px * sigma - SOLID_SOFT_PX) / SOLID_REACH_PX, more = 1 + r * r,
                    g_s = in->spread / (double)n * p.a / (more * more);
-            double own = solid_deviation(p), g_b = g_s * px / (2 * sigma); /* by b^2 */
-            double g_v = own > free ? g_b * (1 - free / own) : 0;
+            double g_b = g_s * px / (2 * sigma); /* of b^2 */
+            double g_v = p.deviation > free ? g_b * (1 - free / p.deviation) : 0;
             g[0] += 2 * (g_b * bias - g_v * p.d) / p.a;
             g[1] += g_v / p.a;
-            g[2] +=
-                (2 * g_b * bias * p.d + g_v * (p.second - 2 * p.d * p.d)) / p.a; /* d/dA = -d/dT */
+            /* of T: minus that of A */
+            g[2] += (2 * g_b * bias * p.d + g_v * (p.second - 2 * p.d * p.d)) / p.a;
         }
         if (in->supported && in->supported[at])
             g[2] += (solid_knows(in, at) ? in->light_known : in->light) *
