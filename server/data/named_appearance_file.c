@@ -15,10 +15,12 @@
 #include "server/data/named_appearance_file.h"
 
 #include <assert.h>
+#include <fcntl.h>
 #include <sqlite3.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 enum {
     KEPT_APPLICATION_ID = 0x4353504e, /* "CSPN" */
@@ -32,6 +34,7 @@ struct named_appearance_file {
     char path[FILE_PATH_MAX];
     sqlite3 *db;
     sqlite3_stmt *put, *remove;
+    bool unborn; /* named_appearance_file_open made the file, and has not returned ERR_OK */
 };
 
 static enum err_code named_appearance_file_fail(const struct named_appearance_file *k, int code,
@@ -84,9 +87,10 @@ static enum err_code named_appearance_file_ask(const struct named_appearance_fil
     return code == SQLITE_ROW ? ERR_OK : named_appearance_file_fail(k, code, "cannot be read", e);
 }
 
-/* A new file gets its table; another program's is left alone. */
+/* Is it ours? *fresh: it is nobody's yet, and has no table. Nothing is written: another program's
+ * file is left alone. */
 static enum err_code named_appearance_file_schema(const struct named_appearance_file *k,
-                                                  struct err *e)
+                                                  bool *fresh, struct err *e)
 {
     int id = 0, schema = 0, tables = 0;
     enum err_code rc = named_appearance_file_ask(k, "PRAGMA application_id", &id, e);
@@ -96,8 +100,25 @@ static enum err_code named_appearance_file_schema(const struct named_appearance_
         rc = named_appearance_file_ask(k, "SELECT count(*) FROM sqlite_schema", &tables, e);
     if (rc)
         return rc;
-    if (!id && !schema && !tables)
-        return named_appearance_file_do(
+    *fresh = !id && !schema && !tables;
+    return *fresh || (id == KEPT_APPLICATION_ID && schema == KEPT_SCHEMA)
+               ? ERR_OK
+               : err_set(e, ERR_FORMAT,
+                         "%s: is of another program, or of a later version of this one: give "
+                         "another --state-dir",
+                         k->path);
+}
+
+/* From here on the file is changed: its journal, and the table of a fresh one. */
+static enum err_code named_appearance_file_begin(const struct named_appearance_file *k, bool fresh,
+                                                 struct err *e)
+{
+    char sql[64];
+    static_assert(KEPT_APPLICATION_ID == 0x4353504e && KEPT_SCHEMA == 1, "as below");
+    snprintf(sql, sizeof sql, "PRAGMA journal_mode=WAL; PRAGMA max_page_count=%d", KEPT_PAGES_MAX);
+    enum err_code rc = named_appearance_file_do(k, sql, e);
+    if (!rc && fresh)
+        rc = named_appearance_file_do(
             k,
             "BEGIN IMMEDIATE;"
             "CREATE TABLE kept(dataset TEXT NOT NULL, name TEXT NOT NULL, text TEXT NOT "
@@ -105,13 +126,7 @@ static enum err_code named_appearance_file_schema(const struct named_appearance_
             "ROWID;"
             "PRAGMA application_id=0x4353504e; PRAGMA user_version=1; COMMIT",
             e);
-    static_assert(KEPT_APPLICATION_ID == 0x4353504e && KEPT_SCHEMA == 1, "as above");
-    return id == KEPT_APPLICATION_ID && schema == KEPT_SCHEMA
-               ? ERR_OK
-               : err_set(e, ERR_FORMAT,
-                         "%s: is of another program, or of a later version of this one: give "
-                         "another --state-dir",
-                         k->path);
+    return rc;
 }
 
 /* A text column, where it fits and is one. */
@@ -176,14 +191,26 @@ static enum err_code named_appearance_file_prepare(struct named_appearance_file 
     return code == SQLITE_OK ? ERR_OK : named_appearance_file_fail(k, code, "cannot be used", e);
 }
 
+/* SQLite takes an empty file for a new one. One that was there is refused: names were lost. */
+static enum err_code named_appearance_file_create(struct named_appearance_file *k, struct err *e)
+{
+    struct stat st;
+    const int fd = open(k->path, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
+    k->unborn = fd >= 0;
+    if (fd >= 0)
+        close(fd);
+    else if (!stat(k->path, &st) && !st.st_size)
+        return named_appearance_file_fail(k, SQLITE_NOTADB, "it is empty", e);
+    return ERR_OK;
+}
+
 static enum err_code named_appearance_file_connect(struct named_appearance_file *k, struct err *e)
 {
-    char sql[128];
     int well = 0;
-    struct stat st;
-    /* SQLite takes an empty file for a new one, but names were lost. */
-    if (!stat(k->path, &st) && !st.st_size)
-        return named_appearance_file_fail(k, SQLITE_NOTADB, "it is empty", e);
+    bool fresh = false;
+    enum err_code rc = named_appearance_file_create(k, e);
+    if (rc)
+        return rc;
     const int code = sqlite3_open_v2(
         k->path, &k->db, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
     if (code != SQLITE_OK)
@@ -191,20 +218,17 @@ static enum err_code named_appearance_file_connect(struct named_appearance_file 
     (void)sqlite3_busy_timeout(k->db, KEPT_BUSY_MS);
     (void)sqlite3_db_config(k->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
     (void)sqlite3_db_config(k->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
-    snprintf(sql, sizeof sql, "PRAGMA max_page_count=%d", KEPT_PAGES_MAX);
-    enum err_code rc =
-        named_appearance_file_do(k,
-                                 "PRAGMA locking_mode=EXCLUSIVE; PRAGMA journal_mode=WAL;"
-                                 "PRAGMA synchronous=FULL; PRAGMA cell_size_check=ON;"
-                                 "BEGIN IMMEDIATE; COMMIT",
-                                 e);
+    rc = named_appearance_file_do(k,
+                                  "PRAGMA locking_mode=EXCLUSIVE; PRAGMA synchronous=FULL;"
+                                  "PRAGMA cell_size_check=ON; BEGIN EXCLUSIVE; COMMIT",
+                                  e);
     if (!rc)
         rc = named_appearance_file_ask(k, "PRAGMA quick_check(1)", &well, e);
     if (!rc && !well)
         rc = named_appearance_file_fail(k, SQLITE_CORRUPT, "quick_check", e);
     if (!rc)
-        rc = named_appearance_file_schema(k, e);
-    return !rc ? named_appearance_file_do(k, sql, e) : rc;
+        rc = named_appearance_file_schema(k, &fresh, e);
+    return !rc ? named_appearance_file_begin(k, fresh, e) : rc;
 }
 
 enum err_code named_appearance_file_open(const char *dir, struct named_appearance_file **out,
@@ -225,11 +249,23 @@ enum err_code named_appearance_file_open(const char *dir, struct named_appearanc
         rc = named_appearance_file_prepare(k, e);
     if (rc == ERR_LIMIT) /* a full disk is no damage: a supervisor tries again */
         rc = e ? (e->code = ERR_IO) : ERR_IO;
+    k->unborn &= rc && rc != ERR_BUSY; /* whoever has locked it since goes on */
     if (rc) {
         named_appearance_file_close(out);
         named_appearance_drop(table);
     }
     return rc;
+}
+
+/* The next start is to find no file, and not one that is empty, which would be damage to it. */
+static void named_appearance_file_unmake(const struct named_appearance_file *k)
+{
+    static const char *const ends[] = {"-wal", "-journal", ""};
+    char path[FILE_PATH_MAX + sizeof "-journal"];
+    for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {
+        snprintf(path, sizeof path, "%s%s", k->path, ends[i]);
+        (void)unlink(path);
+    }
 }
 
 void named_appearance_file_close(struct named_appearance_file **out)
@@ -241,6 +277,8 @@ void named_appearance_file_close(struct named_appearance_file **out)
     sqlite3_finalize(k->put);
     sqlite3_finalize(k->remove);
     sqlite3_close(k->db);
+    if (k->unborn)
+        named_appearance_file_unmake(k);
     mem_free(k);
 }
 

@@ -11,6 +11,7 @@
 #include <nettle/sha2.h>
 #include <signal.h>
 #include <sqlite3.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 
@@ -504,6 +505,59 @@ static void test_files_of_others_and_limits(void **state)
     named_appearance_close(&k);
 }
 
+/* A database that is not ours is as it was, whatever its journal. */
+static void test_files_of_others_are_left_alone(void **state)
+{
+    static const char *const theirs[] = {
+        "CREATE TABLE x(y); PRAGMA application_id=7",
+        "PRAGMA journal_mode=WAL; CREATE TABLE x(y); PRAGMA user_version=3",
+    };
+    struct err e = {0};
+    struct named_appearance *k = NULL;
+    struct buf was = {0}, is = {0};
+    kit_ok(file_mkdir(state_dir, &e), e);
+    for (size_t i = 0; i < sizeof theirs / sizeof *theirs; i++) {
+        sql(theirs[i]);
+        kit_ok(file_read(state_file, 0, &was, &e), e);
+        kit_fails(named_appearance_open(state_dir, &k, &e), ERR_FORMAT, e, "another program");
+        kit_ok(file_read(state_file, 0, &is, &e), e);
+        assert_int_equal(is.size, was.size);
+        assert_memory_equal(is.data, was.data, was.size);
+        assert_int_equal(unlink(state_file), 0);
+        was.size = is.size = 0;
+    }
+    buf_free(&was);
+    buf_free(&is);
+    assert_int_equal(rmdir(state_dir), 0);
+}
+
+/* A first start on a disk that is full after so many bytes leaves nothing: a later one begins. */
+static void test_a_first_start_that_fails_leaves_nothing(void **state)
+{
+    enum { ROOM_MAX = 1 << 20, STEP = 512 };
+    struct err e = {0};
+    struct named_appearance *k = NULL;
+    struct rlimit was, small;
+    size_t failures = 0;
+    kit_ok(file_mkdir(state_dir, &e), e);
+    signal(SIGXFSZ, SIG_IGN);
+    getrlimit(RLIMIT_FSIZE, &was);
+    for (rlim_t room = 0; room < ROOM_MAX; room += STEP, failures++) {
+        small = (struct rlimit){room, was.rlim_max};
+        setrlimit(RLIMIT_FSIZE, &small);
+        const enum err_code rc = named_appearance_open(state_dir, &k, &e);
+        setrlimit(RLIMIT_FSIZE, &was);
+        if (!rc)
+            break;
+        assert_int_equal(rc, ERR_IO);
+        assert_int_equal(rmdir(state_dir), 0);
+        kit_ok(file_mkdir(state_dir, &e), e);
+    }
+    assert_true(failures > 4);
+    put_row(k, "a", "p1.jpg", ERR_OK);
+    named_appearance_close(&k);
+}
+
 /* The child of the next test: names, one after the other, each said when it is on the disk; every
  * third of them is forgotten again. */
 static void write_for_ever(int fd, unsigned first)
@@ -592,6 +646,8 @@ int main(void)
         TEST(test_what_is_refused),
         TEST(test_who_may),
         TEST(test_files_of_others_and_limits),
+        TEST(test_files_of_others_are_left_alone),
+        TEST(test_a_first_start_that_fails_leaves_nothing),
         TEST(test_a_killed_process_loses_nothing_that_it_said),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
