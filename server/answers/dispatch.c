@@ -87,12 +87,18 @@ static const char *dispatch_tag_header(const struct server_config *cfg)
     return names[cfg->tag_header];
 }
 
-/* What an operator says about caches of this dataset, and its tag where there is none yet. */
+/* What an operator and --auth let caches keep of the dataset that was asked for. */
+static const char *dispatch_policy(const struct services *s, const struct request *r,
+                                   const struct target *t, const char *usual)
+{
+    return cache_policy_of(&s->policy, t->names.ds, permissions_is_public(r, t->names.ds), usual);
+}
+
+/* That for an answer, and the dataset's tag where there is none yet. */
 static void dispatch_cached(const struct services *s, const struct request *r,
                             const struct dataset *d, const struct target *t, struct response *out)
 {
-    bool shared = permissions_is_public(r, d->meta.name);
-    out->cache_control = cache_policy_of(&s->policy, d->meta.name, shared, out->cache_control);
+    out->cache_control = dispatch_policy(s, r, t, out->cache_control);
     out->tag_header = dispatch_tag_header(s->cfg);
     if (!out->surrogate[0] && out->status < 400)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s", d->meta.name);
@@ -124,6 +130,7 @@ static void dispatch_dataset(struct services *s, const struct request *r,
     struct catalog *c = services_catalog(s);
     struct dataset *d = catalog_find(c, t->names.ds, t->names.rev);
     if (d) {
+        out->cache_missing = dispatch_policy(s, r, t, RESPONSE_SHORT);
         if (answer_appearance_resolve(s, d, t, out)) {
             out->cache_control = response_cache_control(s, d, t);
             on->answer(s, r, d, t, out);
@@ -134,6 +141,8 @@ static void dispatch_dataset(struct services *s, const struct request *r,
         out->cache_control = RESPONSE_NO_STORE; /* a reload may bring it */
     } else {
         response_problem(out, 404, "no dataset has this name");
+        if (!permissions_is_public(r, t->names.ds)) /* who has no token is not to learn it */
+            out->cache_control = RESPONSE_NO_STORE;
     }
     catalog_drop(&c);
 }

@@ -20,7 +20,7 @@ const char RESPONSE_MOVING[] =
     "public, max-age=60, stale-while-revalidate=600, stale-if-error=86400";
 const char RESPONSE_NO_STORE[] = "no-store";
 const char RESPONSE_JSON[] = "application/json";
-static const char RESPONSE_SHORT[] = "public, max-age=60";
+const char RESPONSE_SHORT[] = "public, max-age=60";
 
 void response_edition(struct services *s, const struct dataset *d, enum edition of, char out[9])
 {
@@ -125,7 +125,9 @@ static void response_send_problem(struct response *out, int status, const char *
     buf_printf(&b, "}\n");
     out->status = status;
     out->type = "application/problem+json";
-    out->cache_control = kept ? RESPONSE_SHORT : RESPONSE_NO_STORE;
+    out->cache_control = !kept                ? RESPONSE_NO_STORE
+                         : out->cache_missing ? out->cache_missing
+                                              : RESPONSE_SHORT;
     out->vary = "Accept"; /* to who opens it in a browser it is a page (dispatch.c) */
     out->encoding = NULL;
     out->etag[0] = out->surrogate[0] = out->hints[0] = 0;

@@ -16,8 +16,9 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
     int status;
     const struct route *route;                                  /* NULL: none */
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings; NULL = none */
-    char *location, *set_cookie;                                /* owned */
-    char etag[BODY_ETAG_SIZE];                                  /* "" = none */
+    const char *cache_missing;   /* Cache-Control of a 404, also of a job's; NULL: RESPONSE_SHORT */
+    char *location, *set_cookie; /* owned */
+    char etag[BODY_ETAG_SIZE];   /* "" = none */
     char hints[LINK_HEADER_SIZE];  /* Link for the viewer's page; "" = none */
     char surrogate[RESPONSE_TAGS]; /* tags by which caches purge, sent as tag_header */
     const char *tag_header;        /* NULL: not sent */
@@ -52,6 +53,7 @@ struct response { /* {0}, then dispatch_answer; free with response_free */
 };
 
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
+extern const char RESPONSE_SHORT[];                                             /* of a 404 */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
 /* Editions of a dataset (result_id.h): hashes of the inputs that determine the bytes and are not in

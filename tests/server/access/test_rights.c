@@ -177,6 +177,13 @@ static void test_private_datasets(void **state)
 {
     static const char *const scopes[] = {"\"read:toy\"", "\"read:*\",\"render:*\",\"admin\"",
                                          "\"read:other\""};
+    static const struct {
+        const char *target;
+        bool of_toy;
+    } missing[] = {/* two by a job, and one of no dataset */
+                   {"/d/toy/tileset.json?clip=1,1,2,1,1,2", true},
+                   {"/d/toy/seed.ndjson?clip=1,1,2,1,1,2", true},
+                   {"/d/none/tileset.json", false}};
     char path[FILE_PATH_MAX], target[128], line[128], seal[AUTH_SEAL_MAX], query[AUTH_QUERY_MAX],
         signed_target[800];
     struct err e = {0};
@@ -203,6 +210,14 @@ static void test_private_datasets(void **state)
             assert_string_equal(header(&r, "Cache-Control"),
                                 "private, max-age=31536000, immutable");
         buf_free(&r.raw);
+        for (size_t i = 0; i < sizeof missing / sizeof *missing; i++) {
+            ask("GET", missing[i].target, line, &r);
+            assert_int_equal(r.status, k == 1 || (k < 1 && missing[i].of_toy) ? 404 : 403);
+            assert_string_equal(header(&r, "Cache-Control"), r.status == 404 && missing[i].of_toy
+                                                                 ? "private, max-age=60"
+                                                                 : "no-store");
+            buf_free(&r.raw);
+        }
         assert_int_equal(status_of("GET", "/d/toy/height?lon=1&lat=1", line), k == 1 ? 503 : 403);
         ask("GET", "/collections", line, &r);
         assert_int_equal(strstr((const char *)r.body, "\"toy\"") != NULL, k < 2);

@@ -69,6 +69,10 @@ static void test_cache_policies(void **state)
         if (k < 3)
             assert_string_equal(header(&r, tags[k]), "ds-toy");
         buf_free(&r.raw);
+        ask("GET", "/d/toy/seed.ndjson?clip=1,1,2,1,1,2", "", &r); /* a job finds nothing */
+        assert_int_equal(r.status, 404);
+        assert_string_equal(header(&r, "Cache-Control"), "private, max-age=60");
+        buf_free(&r.raw);
         server_stop(&t.server);
     }
 }
