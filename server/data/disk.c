@@ -305,27 +305,32 @@ static uint64_t disk_cost(uint64_t size)
     return (size + DISK_BLOCK - 1) / DISK_BLOCK * DISK_BLOCK;
 }
 
-/* Head and bytes of an open file into *out, if they are what was put under this name. */
-static bool disk_read(int fd, struct hash128 id, uint64_t most, struct buf *out)
+enum disk_found { DISK_GOOD, DISK_ABSENT, DISK_DAMAGED, DISK_TOO_LARGE, DISK_NO_MEMORY };
+
+/* Head and bytes of an open file into *out, if they are what was put under this name. Too large: it
+ * was put there while the limit was higher. */
+static enum disk_found disk_read(int fd, struct hash128 id, uint64_t most, struct buf *out)
 {
     struct disk_head h;
     struct stat st;
     if (fstat(fd, &st) || !disk_read_all(fd, &h, sizeof h) ||
         memcmp(h.magic, disk_magic, sizeof h.magic) != 0 || h.id.lo != id.lo || h.id.hi != id.hi ||
-        h.size != (uint64_t)st.st_size - sizeof h || h.size > most)
-        return false;
+        h.size != (uint64_t)st.st_size - sizeof h)
+        return DISK_DAMAGED;
+    if (h.size > most)
+        return DISK_TOO_LARGE;
     const size_t was = out->size;
     uint8_t *bytes = buf_grow(out, (size_t)h.size);
     if (!bytes)
-        return false;
+        return DISK_NO_MEMORY;
     if (!disk_read_all(fd, bytes, (size_t)h.size)) {
         out->size = was;
-        return false;
+        return DISK_DAMAGED;
     }
     const struct hash128 hash = hash_bytes(bytes, (size_t)h.size);
     const bool good = hash.lo == h.hash.lo && hash.hi == h.hash.hi;
     out->size = good ? out->size : was;
-    return good;
+    return good ? DISK_GOOD : DISK_DAMAGED;
 }
 
 /* ---- opening ---- */
@@ -457,22 +462,26 @@ bool disk_get(struct disk *d, struct hash128 id, struct buf *out)
         return false;
     disk_path(d, id, "", path);
     int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
-    const bool there = fd >= 0, good = there && disk_read(fd, id, d->limit / DISK_SHARE, out);
+    const enum disk_found found =
+        fd < 0 ? DISK_ABSENT : disk_read(fd, id, d->limit / DISK_SHARE, out);
+    const bool good = found == DISK_GOOD, damaged = found == DISK_DAMAGED,
+               large = found == DISK_TOO_LARGE;
     if (good && touch)
         (void)futimens(fd, NULL);
-    if (there)
+    if (fd >= 0)
         close(fd);
     disk_save_parts(d);
     pthread_mutex_lock(&d->lock);
     d->stats.hits += good;
     d->stats.misses += !good;
-    d->stats.damaged += there && !good;
-    if (!good)
+    d->stats.damaged += damaged;
+    d->stats.evicted += large;
+    if (damaged || large || found == DISK_ABSENT)
         disk_forget(d, id);
-    if (there && !good)
+    if (damaged || large)
         (void)unlink(path);
     pthread_mutex_unlock(&d->lock);
-    if (there && !good)
+    if (damaged)
         disk_say(d, "removed", path, "it is not what was written");
     return good;
 }

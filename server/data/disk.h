@@ -24,8 +24,8 @@ enum err_code disk_check(const char *dir, struct err *e) ERR_USE;
  * that were used once. Never waits, so HTTP threads may call it: while another thread changes the
  * lists, the use is not noted. d may be NULL. */
 void disk_note(struct disk *d, struct hash128 id);
-/* Appends the bytes of this name to *out. False: there are none, or they were damaged and have been
- * removed. */
+/* Appends the bytes of this name to *out. False: there are none, or memory is short; or they were
+ * damaged, or are too large for the limit of now, and have been removed. */
 bool disk_get(struct disk *d, struct hash128 id, struct buf *out);
 /* Keeps n bytes under a name. Files are removed to make room: first those used once, the oldest
  * first. apart: the result is one of very many, such as those of polygons. These have an eighth of

@@ -189,6 +189,31 @@ static void test_bounded(void **state)
     disk_close(&d);
 }
 
+/* What cannot be read now is no damage: no memory, or a limit that is smaller than at its time. */
+static void test_sound_files_are_no_damage(void **state)
+{
+    enum { BYTES = 60000, LIMIT = 16 * 65536 };
+    struct disk *d = open_folder("sound", LIMIT);
+    char path[LONG];
+    put(d, 1, BYTES);
+    path_of(1, path);
+    struct buf b = {0};
+    mem_fail_at(1);
+    assert_false(disk_get(d, disk_id(1), &b));
+    mem_fail_at(0);
+    buf_free(&b);
+    assert_true(file_exists(path));
+    assert_true(got(d, 1, BYTES));
+    disk_close(&d);
+    d = open_folder("sound", LIMIT / 2);
+    assert_false(got(d, 1, BYTES));
+    assert_false(file_exists(path)); /* it would never be read */
+    assert_int_equal(count(d).evicted, 1);
+    assert_int_equal(count(d).entries, 0);
+    assert_int_equal(count(d).damaged, 0);
+    disk_close(&d);
+}
+
 /* ---- damage ---- */
 
 static void write_file(const char *path, const struct buf *b, size_t n)
@@ -482,6 +507,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip),
         cmocka_unit_test(test_bounded),
+        cmocka_unit_test(test_sound_files_are_no_damage),
         cmocka_unit_test(test_scan),
         cmocka_unit_test(test_apart),
         cmocka_unit_test(test_damage),
