@@ -1,8 +1,7 @@
 /* citysplat: drone photographs in, a city of Gaussians that a web map can stream out.
  *
- * Finds the command and runs it. stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2
- * the command line was wrong; of serve, which supervisors start, those of sysexits.h. This is the
- * only file that turns an error into text and an exit code.
+ * Finds the command and runs it. stdout is data, stderr is the log. cli/base/outcome.c makes text
+ * and exit code of an error.
  *
  *   citysplat help [COMMAND]          the commands, or one of them
  *   citysplat help --markdown         the command reference, docs/commands.md
@@ -14,9 +13,9 @@
 #include <locale.h>
 #include <stdio.h>
 #include <string.h>
-#include <sysexits.h>
 
 #include "cli/base/cli.h"
+#include "cli/base/outcome.h"
 #include "core/options/options_completion.h"
 #include "core/options/options_help.h"
 #include "server/drawing/draw.h"
@@ -67,38 +66,11 @@ static void print_help(FILE *f)
         fprintf(f, "  %.*s\n", (int)strcspn(p, "\n"), p);
 }
 
-/* What a supervisor may try again (69, 75) and what a person has to mend (64, 65, 66, 78). */
-static int exit_of_service(enum err_code rc, int argc, char **argv)
-{
-    static const int codes[] = {
-        [ERR_ARG] = EX_USAGE,       [ERR_MEM] = EX_OSERR,          [ERR_IO] = EX_IOERR,
-        [ERR_NOENT] = EX_NOINPUT,   [ERR_FORMAT] = EX_DATAERR,     [ERR_LIMIT] = EX_DATAERR,
-        [ERR_DATA] = EX_DATAERR,    [ERR_DEVICE] = EX_UNAVAILABLE, [ERR_BUSY] = EX_UNAVAILABLE,
-        [ERR_CANCEL] = EX_TEMPFAIL, [ERR_INTERNAL] = EX_SOFTWARE,
-    };
-    for (int i = 1; i < argc; i++) {
-        if (!strcmp(argv[i], "--check"))
-            return EX_CONFIG;
-        if (rc == ERR_ARG && !strncmp(argv[i], "--config", 8))
-            return EX_CONFIG;
-    }
-    return codes[rc];
-}
-
 static int run(const struct command *c, int argc, char **argv)
 {
     struct err e = {0};
-    enum err_code rc = c->run(argc, argv, &e);
-    if (!rc)
-        return 0;
-    const char *why = e.msg[0] ? e.msg : err_text(rc);
-    if (log_is_json())
-        log_error(c->name, "%s", why);
-    else
-        fprintf(stderr, "%scitysplat %s: error: %s\n", log_priority(LOG_ERROR), c->name, why);
-    if (rc == ERR_ARG && !log_is_json())
-        fprintf(stderr, "`citysplat help %s` lists the options.\n", c->name);
-    return !strcmp(c->name, "serve") ? exit_of_service(rc, argc, argv) : rc == ERR_ARG ? 2 : 1;
+    const enum err_code rc = c->run(argc, argv, &e);
+    return outcome_tell(c->name, rc, &e, argc, argv);
 }
 
 /* ---- reference ---- */

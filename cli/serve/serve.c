@@ -8,11 +8,11 @@
 #include <signal.h>
 #include <stdarg.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "cli/base/cli.h"
+#include "cli/base/outcome.h"
 #include "cli/base/output.h"
 #include "core/trace.h"
 #include "server/http/supervisor.h"
@@ -157,7 +157,8 @@ out:;
         serve_trace_end(cfg.trace);
     if (!stopped) {
         fflush(stdout);
-        _exit(rc ? EXIT_FAILURE : EXIT_SUCCESS); /* not through the driver's own end */
+        /* not through the driver's own end, so not through main either */
+        _exit(outcome_tell(serve_spec.command, rc, e, argc, argv));
     }
     arena_free(&arena);
     return rc;

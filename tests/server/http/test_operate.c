@@ -777,17 +777,34 @@ static void test_a_thousand_stores(void **state)
     assert_int_equal(program_end(&p, SIGTERM), 0);
 }
 
-/* Pictures that never come end the program, where that is asked for. */
+/* Pictures that never come end the program, where that is asked for. It says why, also when a
+ * thread is left behind, which opens a file that hangs. */
 static void test_exit_hung(void **state)
 {
-    static const char *const args[] = {
-        "--port", "0", "--device", "no such device", "--exit-hung", "--device-timeout-s",
-        "1",      NULL};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    const char *const args[] = {
+        dir, "--port", "0", "--device", "no such device", "--exit-hung", "--device-timeout-s",
+        "1", NULL};
     struct program p = {.alone = true};
+    struct err e = {0};
+    kit_ok(file_join(dir, t.dir, "hung", &e), e);
+    kit_ok(file_mkdir(dir, &e), e);
+    kit_ok(file_join(path, dir, "good.tiles", &e), e);
+    served_city(path, "good", 10);
     program_start(&p, NULL, args);
     assert_true(ready_says(p.port, "\"pictures\": \"off: "));
     assert_true(ready_says(p.port, "tried again in"));
+    kit_ok(file_join(path, dir, "slow.tiles", &e), e);
+    served_city(path, "slow", 10);
+    signal(SIGIO, SIG_IGN);
+    const int lease = open(path, O_RDWR | O_CLOEXEC);
+    assert_true(lease >= 0);
+    const bool hangs = !fcntl(lease, F_SETLEASE, F_WRLCK); /* not on every file system */
+    kill(p.pid, SIGHUP);
     assert_int_equal(program_end(&p, 0), EX_UNAVAILABLE);
+    assert_int_equal(log_says(&p, "it is left behind"), hangs);
+    assert_int_equal(log_says(&p, "--exit-hung is set"), 1);
+    close(lease);
 }
 
 /* A trace that was asked for is there when the program has ended, and replaces no file. */
