@@ -328,10 +328,12 @@ enum err_code pmtiles_commit(struct pmtiles **out, const struct pmtiles_about *a
         rc = pmtiles_write(p, PMTILES_ROOM + p->bytes, metadata.data, metadata.size, e);
     if (!rc && leaves.size)
         rc = pmtiles_write(p, PMTILES_ROOM + p->bytes + metadata.size, leaves.data, leaves.size, e);
-    if (!rc && close(p->fd))
-        rc = err_errno(e, ERR_IO, "%s", p->part);
-    if (!rc)
-        p->fd = -1;
+    if (!rc) {
+        const int fd = p->fd;
+        p->fd = -1; /* a descriptor is gone even if close fails */
+        if (close(fd))
+            rc = err_errno(e, ERR_IO, "%s", p->part);
+    }
     if (!rc)
         rc = file_commit(p->part, p->path, e);
     if (rc)

@@ -6,6 +6,7 @@
 #include "codec/container/pmtiles.h"
 #include "tests/kit.h"
 
+#include <errno.h>
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
@@ -13,6 +14,23 @@
 #include <zlib.h>
 
 static char path[FILE_PATH_MAX];
+
+int __real_close(int fd); // NOLINT: the linker's names
+int __wrap_close(int fd); // NOLINT
+
+static bool close_fails; /* the next one, as of a disk that is away */
+static int closed_twice;
+
+int __wrap_close(int fd) // NOLINT
+{
+    const bool fails = close_fails;
+    close_fails = false;
+    if (__real_close(fd) && errno == EBADF)
+        closed_twice++;
+    if (fails)
+        errno = EIO;
+    return fails ? -1 : 0;
+}
 
 static int setup(void **state)
 {
@@ -325,6 +343,7 @@ static void fail_beyond(size_t most, bool at_end)
 
 static void test_what_fails_leaves_nothing(void **state)
 {
+    const struct pmtiles_about about = {.type = PMTILES_PNG, .metadata = "{}"};
     struct err e = {0};
     struct pmtiles *p;
     struct arena a = {0};
@@ -332,6 +351,11 @@ static void test_what_fails_leaves_nothing(void **state)
     size_t n;
     fail_beyond(100000, false);
     fail_beyond(16384 + 2, true);
+    kit_ok(pmtiles_begin(path, &p, &e), e);
+    close_fails = true;
+    kit_fails(pmtiles_commit(&p, &about, &e), ERR_IO, e, "map.pmtiles");
+    assert_null(p);
+    assert_int_equal(closed_twice, 0); /* another thread may have the number by then */
     kit_fails(pmtiles_begin("/nonexistent/a.pmtiles", &p, &e), ERR_IO, e, "/nonexistent");
     assert_null(p);
     kit_ok(file_list(kit_tmp, NULL, &a, &names, &n, &e), e);
