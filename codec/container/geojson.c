@@ -96,6 +96,8 @@ static enum err_code geojson_add_shape(struct geojson_area *a, const json_t *o, 
                        path);
     if (!strcmp(type, "Polygon"))
         return geojson_add_polygon(a, at, path, e);
+    if (!strcmp(type, "Feature") && json_is_null(json_object_get(o, "geometry")))
+        return ERR_OK; /* a feature of no place, RFC 7946 3.2 */
     if (!strcmp(type, "Feature"))
         return geojson_add_shape(a, json_object_get(o, "geometry"), path, depth + 1, e);
     for (size_t i = 0; !rc && !strcmp(type, "MultiPolygon") && i < json_array_size(at); i++)

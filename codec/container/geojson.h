@@ -20,9 +20,10 @@ struct geojson_area {           /* {0} is empty; free with geojson_free */
     size_t n, cap, n_polygons, n_rings;
 };
 /* Reads a Polygon, MultiPolygon, Feature, FeatureCollection or GeometryCollection in longitude and
- * latitude. Other geometries are skipped. Messages name the file and say what to do. ERR_NOENT,
- * ERR_IO, ERR_LIMIT, ERR_MEM. ERR_FORMAT: it is not GeoJSON of one of these types, has no polygon
- * or uses another coordinate system. ERR_DATA: a ring crosses itself or has no area. */
+ * latitude. Other geometries, and features whose geometry is null, are skipped. Messages name the
+ * file and say what to do. ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM. ERR_FORMAT: it is not GeoJSON of
+ * one of these types, has no polygon or uses another coordinate system. ERR_DATA: a ring crosses
+ * itself or has no area. */
 enum err_code geojson_read(const char *path, struct geojson_area *out, struct err *e) ERR_USE;
 /* Makes a polygon of one ring [n] of longitude and latitude. The first position is not repeated at
  * the end. ERR_DATA: it crosses itself or has no area. ERR_MEM. */

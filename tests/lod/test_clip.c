@@ -231,6 +231,22 @@ static void maps_end_at_the_cut(void **state)
     clip_free(&c[1]);
 }
 
+/* RFC 7946 allows features of no place. */
+static void features_without_geometry_are_skipped(void **state)
+{
+    static const char text[] =
+        "{\"type\":\"FeatureCollection\",\"features\":[{\"type\":\"Feature\",\"geometry\":null},"
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"Polygon\",\"coordinates\":"
+        "[[[8,50],[9,50],[9,51],[8,50]]]}}]}";
+    struct err e = {0};
+    struct clip c;
+    char path[FILE_PATH_MAX];
+    put_file("null.geojson", text, path);
+    kit_ok(clip_open(path, -HUGE_VAL, HUGE_VAL, &c, &e), e);
+    assert_int_equal(c.area.n_polygons, 1);
+    clip_free(&c);
+}
+
 static void nonsense_is_refused(void **state)
 {
     static const struct {
@@ -251,6 +267,8 @@ static void nonsense_is_refused(void **state)
          "25832", ERR_FORMAT},
         {"{\"type\":\"Point\",\"coordinates\":[8,50]}", "no polygon", ERR_FORMAT},
         {"[]", "is expected", ERR_FORMAT},
+        {"{\"type\":\"Feature\",\"geometry\":null}", "no polygon", ERR_FORMAT},
+        {"{\"type\":\"Feature\"}", "is expected", ERR_FORMAT},
     };
     struct err e = {0};
     struct clip c;
@@ -303,8 +321,11 @@ static void the_program_clips(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(what_lies_inside_is_kept), cmocka_unit_test(a_part_has_its_own_date),
-        cmocka_unit_test(maps_end_at_the_cut),      cmocka_unit_test(nonsense_is_refused),
+        cmocka_unit_test(what_lies_inside_is_kept),
+        cmocka_unit_test(a_part_has_its_own_date),
+        cmocka_unit_test(maps_end_at_the_cut),
+        cmocka_unit_test(nonsense_is_refused),
+        cmocka_unit_test(features_without_geometry_are_skipped),
         cmocka_unit_test(the_program_clips),
     };
     return cmocka_run_group_tests_name("clip", tests, setup, survey_teardown);
