@@ -44,7 +44,7 @@ struct video_stream {
     /* of the thread that draws */
     struct video *video;
     uint32_t width_px, height_px; /* of the encoder */
-    _Atomic uint64_t told;        /* microseconds, above FILM_TOLD_* */
+    _Atomic uint64_t told;        /* microseconds, above VIDEO_STREAM_TOLD_* */
 };
 
 struct video_stream *video_stream_begin(struct video_stream_room *room)
