@@ -436,12 +436,11 @@ study_time() { # accuracy against training time, with the finest level alone and
   done
 }
 
-study_long() { # what going on does to photographs, and what takes it away
+study_long() { # what going on does to photographs
   local n base=(caliterra-200 "" --level-count 1)
   for n in 2000 8000 30000; do
     row long "$n steps" "${base[@]}" --iterations "$n"
   done
-  row long "30000 steps, no resets" "${base[@]}" --iterations 30000 --reset-interval 0
 }
 
 study_long_city() { # the same in a city, by map views too
@@ -578,15 +577,13 @@ pareto_rows() {
 }
 study_pareto() { seeded pareto pareto_rows; }
 
-# Each remedy against halo, haze and floaters taken away from the default, and opacity resets that happen in so short a run.
+# Each remedy against halo, haze and floaters taken away from the default.
 remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
-  local study=$1 scene=$2 until
+  local study=$1 scene=$2
   shift 2
   row "$study" full "$scene" "" "$@"
   row "$study" "no pruning at the end" "$scene" "" "$@" --prune-contribution 0 --prune-support 0
   row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
-  [ "$study" = remedies ] && until=1,1,0.8 # three levels
-  row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until "${until:-0.8}"
 }
 study_remedies() { seeded remedies on_demo remedy_rows remedies; }
 study_remedies_caliterra() { seeded remedies_caliterra on_caliterra remedy_rows remedies_caliterra; }
@@ -742,7 +739,7 @@ study_order() {
 }
 study_order_caliterra() { seeded order_caliterra order_rows order_caliterra caliterra-400; }
 
-# The whole method at a length at which opacities are reset and sizes pruned: half of the paper's steps.
+# The whole method at half of the paper's steps.
 study_full() {
   row full caliterra caliterra-800 "" --iterations "$(steps full)"
   row full ochota ochota-800 "" --iterations "$(steps full)" --appearance --eval --half-image on

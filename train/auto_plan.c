@@ -65,7 +65,8 @@ static enum err_code auto_plan_write(const char *path, const struct scene *s, do
     return rc;
 }
 
-/* Writes plans until one fits. *fits has 0 cells if none does; then there is no plan. */
+/* Writes plans until one fits. *fits has 0 cells if none does; then there is no plan, nor if it is
+ * stopped. */
 static enum err_code auto_plan_search(const char *scene_dir, const char *path,
                                       const struct train_config *cfg, double memory_bytes,
                                       struct auto_plan_need *fits, double *edge_m, struct err *e)
@@ -79,6 +80,10 @@ static enum err_code auto_plan_search(const char *scene_dir, const char *path,
         rc = auto_plan_write(path, &scene, 0.0, &span_m, &n, e);
     for (size_t parts = 2; !rc && parts <= AUTO_PLAN_PARTS; parts++) {
         struct auto_plan_need need;
+        if (signals_stopping()) {
+            rc = err_set(e, ERR_CANCEL, "stopped while cells were planned");
+            break;
+        }
         /* Whole metres, so that a person can write the same on a command line. */
         rc = auto_plan_write(path, &scene, fmax(ceil(span_m / (double)parts), 1.0), edge_m, &n, e);
         if (rc || n < 2)

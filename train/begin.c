@@ -76,7 +76,8 @@ static enum err_code begin_is_done(const struct begin *t, struct train_cell_resu
 {
     char path[FILE_PATH_MAX];
     const struct train_config *cfg = t->job->cfg;
-    const struct state_run run = {cfg, &t->job->cell, t->job->n_images, &t->inputs};
+    const struct state_run run = {cfg, &t->job->cell, t->job->n_images, &t->inputs,
+                                  &t->job->scene->origin};
     struct train_cell_result was;
     struct err why = {0};
     *done = false;
@@ -110,10 +111,12 @@ static enum err_code begin_ask(const struct begin *t, struct err *e)
                          t->resume_path);
 }
 
-/* What follows will not be what the done-file tells of, nor the residuals of another run. */
+/* What follows will not be what the done-file tells of, nor the residuals of another run. A state
+ * that is not gone on with must not be taken for that of this run, should it end before its first
+ * own. */
 static enum err_code begin_forget_done(const struct begin *t, struct err *e)
 {
-    const char *const names[] = {"done.json", "residuals.json", BEGIN_FINEST};
+    const char *const names[] = {"done.json", "residuals.json", BEGIN_FINEST, "resume.ckpt"};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < (t->resumes ? 1 : sizeof names / sizeof *names); i++) {
         char path[FILE_PATH_MAX];
@@ -301,16 +304,20 @@ static void begin_tell_tests(const struct begin *t)
 /* And how long it is. */
 static void begin_tell_length(const struct begin *t)
 {
-    char parts[64] = "";
-    double steps = 0.0;
+    char parts[64] = "", again[64] = "";
+    double steps = 0.0, tuned = 0.0;
     size_t at = 0;
     for (int64_t i = 0; i < t->job->cfg->level_count; i++) {
         steps += t->levels[i].steps;
+        tuned += t->levels[i].tuned;
         at += (size_t)snprintf(parts + at, sizeof parts - at, "%s%u", i ? " + " : "",
                                t->levels[i].steps);
     }
+    if (tuned > 0.0)
+        snprintf(again, sizeof again, ", + %.0f that make the coarser ones again", tuned);
     int64_t asked = schedule_asked(t->job->cfg, t->job->n_images);
-    log_info("train", "cell=%s %.0f steps, by level %s%s", t->job->cell.id, steps, parts,
+    log_info("train", "cell=%s %.0f steps, by level %s%s%s", t->job->cell.id, steps + tuned, parts,
+             again,
              t->job->cfg->iterations.one ? ""
              : asked                     ? ": the default; --iterations N asks for another length"
                                          : ": --iterations N makes it shorter");
@@ -364,10 +371,9 @@ enum err_code begin_run(struct begin *t, struct train_cell_result *out, bool *do
         rc = begin_ask(t, e);
     if (rc || *done)
         return rc;
-    rc = begin_forget_done(t, e);
-    if (rc)
-        return rc;
     rc = begin_memory(t, e);
+    if (!rc)
+        rc = begin_forget_done(t, e);
     if (rc)
         return rc;
     begin_tell_length(t);

@@ -3,7 +3,7 @@
  * what it uses. The parts do not know the level.
  *
  * A step is photograph -> forward pass -> loss -> backward pass fused with Adam. Where the schedule
- * says so, density control (densify_apply.c) and opacity reset follow it: first the step, then
+ * says so, density control (densify_apply.c, thin.c) follows it: first the step, then
  * densification, so that a new Gaussian starts with the parameters it was given.
  *
  * At a hand-over the Gaussians stay, and everything of the optimiser starts anew: moments and
@@ -45,8 +45,7 @@
 #define LEVEL_LR_OPACITY 5e-2
 #define LEVEL_LR_SH_DC 2.5e-3
 #define LEVEL_LR_SH_REST 1.25e-4
-#define LEVEL_RESET_OPACITY 0.01 /* 3DGS */
-#define LEVEL_MEAN_KEEP 0.95     /* of the running means shown to people */
+#define LEVEL_MEAN_KEEP 0.95 /* of the running means shown to people */
 /* Weight of the size of harmonics at the end of a level. Measured: lab/studies/side.md. */
 #define LEVEL_SH_RIDGE 0.03
 #define LEVEL_NEAR_SHARE 1000.0 /* near planes in a cell's edge */
@@ -155,7 +154,8 @@ enum err_code level_begin(struct level *l, struct err *e)
 static struct state level_state(struct level *l, double seconds)
 {
     return (struct state){
-        .run = {l->cfg, &l->site.cell, l->gallery.n_images, l->site.inputs},
+        .run = {l->cfg, &l->site.cell, l->gallery.n_images, l->site.inputs,
+                &l->gallery.scene->origin},
         .at = l->stage,
         .appearance = &l->appearance,
         .seconds = seconds,
@@ -402,8 +402,6 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
         rc = model_settle(&l->model, e);
     if (!rc && x)
         rc = densify_apply(&l->model, &run, x, e);
-    if (!rc && schedule_resets(stage_schedule(&l->stage), l->stage.step))
-        rc = model_reset_opacity(&l->model, LEVEL_RESET_OPACITY, e);
     if (!rc && level_thins(l))
         rc = level_thin(l, e);
     (void)timing_turn(&l->timing, was);
@@ -542,5 +540,5 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
         dev_abandon(l->engine.dev, NULL);
     const struct schedule *s = stage_schedule(&l->stage);
     uint32_t x = schedule_densify_index(s, step);
-    return !rc && (x || schedule_resets(s, step) || level_thins(l)) ? level_control(l, x, e) : rc;
+    return !rc && (x || level_thins(l)) ? level_control(l, x, e) : rc;
 }

@@ -38,7 +38,6 @@ struct schedule refit_schedule(const struct schedule *level)
     double steps = floor((double)s.steps * REFIT_SHARE + 0.5);
     s.steps = steps >= 1.0 ? (uint32_t)steps : 1;
     s.densify_until = 0;
-    s.reset_interval = 0;
     s.sh_interval = 0;
     s.lr_mean_first = s.lr_mean_last = 0.0;
     s.fade_from = s.steps;

@@ -26,10 +26,10 @@ bool refit_wanted(const struct appearance_train *a, const struct stage *at);
  * ERR_DATA, ERR_IO: of the checkpoint. ERR_MEM. */
 enum err_code refit_look(const struct appearance_train *a, const struct ckpt_rows *c, bool *needed,
                          struct err *e) ERR_USE;
-/* The schedule of a refit: a fifth of the level's steps, without movement, growth or resets. */
+/* The schedule of a refit: a fifth of the level's steps, without movement or growth. */
 struct schedule refit_schedule(const struct schedule *level);
-/* The schedule of a last fit with all photographs: a fifth of the level's steps, without growth or
- * resets. Learning rates and weights are those of the level's last step. */
+/* The schedule of a last fit with all photographs: a fifth of the level's steps, without growth.
+ * Learning rates and weights are those of the level's last step. */
 struct schedule refit_schedule_last(const struct schedule *level);
 
 #endif

@@ -61,11 +61,11 @@ static enum err_code run_open_metrics(struct run *t, struct err *e)
     const struct cell *cell = &l->site.cell;
     enum err_code rc = file_join(path, t->begin.dir, "metrics.jsonl", e);
     if (!rc)
-        rc = metrics_log_open(path, t->cfg->resume, &l->metrics, e);
+        rc = metrics_log_open(path, t->begin.resumes, &l->metrics, e);
     if (rc)
         return rc;
     return metrics_log_line(
-        l->metrics, t->cfg->resume ? "resume" : "start",
+        l->metrics, t->begin.resumes ? "resume" : "start",
         json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", cell->id, "device",
                   l->engine.dev->name, "photographs", (json_int_t)l->gallery.n_images,
                   "test_photographs", (json_int_t)t->job->n_test, "gaussians",
@@ -373,7 +373,7 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     if (!rc)
         rc = begin_level_path(&t->begin, k, path, e);
     if (!rc)
-        rc = level_save_result(l, path, t->job->n_test ? &score : NULL, e);
+        rc = level_save_result(l, path, score.n_photos ? &score : NULL, e);
     (void)timing_turn(&l->timing, TIMING_OTHER);
     if (!rc)
         rc = run_remove_old(t, e);
@@ -381,23 +381,24 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
         return rc;
     double seconds = run_seconds(t);
     t->result->n_gaussians[l->stage.at] = l->model.gauss.n;
-    t->result->n_test = t->job->n_test;
-    t->result->psnr_db[l->stage.at] = t->job->n_test ? score.psnr_db : (double)NAN;
-    t->result->ssim[l->stage.at] = t->job->n_test ? score.ssim : (double)NAN;
-    if (t->job->n_test)
+    t->result->n_test = score.n_photos;
+    t->result->psnr_db[l->stage.at] = score.n_photos ? score.psnr_db : (double)NAN;
+    t->result->ssim[l->stage.at] = score.n_photos ? score.ssim : (double)NAN;
+    if (score.n_photos)
         log_info("train",
                  "level=%u done gaussians=%u test_psnr_db=%.3f test_ssim=%.4f seconds=%.1f", k,
                  l->model.gauss.n, score.psnr_db, score.ssim, seconds);
     else
         log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.gauss.n, seconds);
-    return metrics_log_line(
-        l->metrics, "level",
-        json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k, "gaussians",
-                  (json_int_t)l->model.gauss.n, "test_photographs", (json_int_t)t->job->n_test,
-                  "psnr_db", jsonc_real(score.psnr_db), "ssim", jsonc_real(score.ssim),
-                  "ssim_valid", jsonc_real(score.ssim_valid), "ms_frame", score.ms_frame, "seconds",
-                  seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
-        e);
+    return metrics_log_line(l->metrics, "level",
+                            json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:o, s:f, s:I}", "level",
+                                      (int)k, "gaussians", (json_int_t)l->model.gauss.n,
+                                      "test_photographs", (json_int_t)score.n_photos, "psnr_db",
+                                      jsonc_real(score.psnr_db), "ssim", jsonc_real(score.ssim),
+                                      "ssim_valid", jsonc_real(score.ssim_valid), "ms_frame",
+                                      jsonc_real(score.ms_frame), "seconds", seconds, "peak_bytes",
+                                      (json_int_t)mem_peak_bytes()),
+                            e);
 }
 
 /* Where the level's time went. */
@@ -503,12 +504,12 @@ static enum err_code run_refit_level(struct run *t, uint32_t at, struct err *e)
     level_refit_end(&r, l);
     (void)timing_turn(&l->timing, TIMING_CHECKPOINT);
     if (!rc)
-        rc = level_save_result(l, path, t->job->n_test ? &score : NULL, e);
+        rc = level_save_result(l, path, score.n_photos ? &score : NULL, e);
     (void)timing_turn(&l->timing, TIMING_OTHER);
     if (rc)
         return rc;
-    t->result->psnr_db[at] = t->job->n_test ? score.psnr_db : (double)NAN;
-    t->result->ssim[at] = t->job->n_test ? score.ssim : (double)NAN;
+    t->result->psnr_db[at] = score.n_photos ? score.psnr_db : (double)NAN;
+    t->result->ssim[at] = score.n_photos ? score.ssim : (double)NAN;
     log_info("train", "level=%u has the appearance network of the finest level", at + 1);
     return metrics_log_line(l->metrics, "refit",
                             json_pack("{s:i, s:o, s:o}", "level", (int)at + 1, "psnr_db",

@@ -66,6 +66,13 @@ static json_t *state_meta(const struct model *m, const struct state *st, const c
         json_decref(o);
         o = NULL;
     }
+    const struct geo_origin *from = st->run.origin;
+    if (o && from &&
+        json_object_set_new(o, "origin",
+                            json_pack("[f,f,f]", from->lon_deg, from->lat_deg, from->h_m))) {
+        json_decref(o);
+        o = NULL;
+    }
     if (o && at->again && at->turned && json_object_set_new(o, "again", json_true())) {
         json_decref(o);
         o = NULL;

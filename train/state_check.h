@@ -18,8 +18,9 @@ struct train_config;
 struct state_run { /* identity of a run; all borrowed */
     const struct train_config *cfg;
     const struct cell *cell;
-    size_t n_images;             /* training photographs */
-    const struct inputs *inputs; /* NULL: neither saved nor compared */
+    size_t n_images;                 /* training photographs */
+    const struct inputs *inputs;     /* NULL: neither saved nor compared */
+    const struct geo_origin *origin; /* of the scene; NULL: not saved */
 };
 
 /* Removes options that do not change the result from `config`, so that they do not change its bytes

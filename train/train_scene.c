@@ -94,6 +94,22 @@ static enum err_code train_scene_planned(struct train_scene *s, size_t index, st
     return ERR_OK;
 }
 
+/* ERR_DATA: nothing is left to train on. */
+static enum err_code train_scene_any(const struct train_scene *s, const struct run_cell *job,
+                                     struct err *e)
+{
+    size_t n_test = 0;
+    for (size_t i = 0; s->cfg->test_split && i < s->scene.n_images; i++)
+        n_test += s->scene.images[i].split == SCENE_TEST;
+    if (job->n_images)
+        return ERR_OK;
+    return n_test ? err_set(e, ERR_DATA,
+                            "%s: no photographs to train on: %zu of %zu are kept for scores; "
+                            "--no-test-split trains with all",
+                            s->dir, n_test, s->scene.n_images)
+                  : err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
+}
+
 enum err_code train_scene_whole(struct train_scene *s, struct run_cell *job, struct err *e)
 {
     uint32_t *images;
@@ -102,8 +118,8 @@ enum err_code train_scene_whole(struct train_scene *s, struct run_cell *job, str
     if (!rc)
         rc = train_scene_images(&s->scene, SCENE_TRAIN, s->cfg->test_split, &images, &job->n_images,
                                 e);
-    if (!rc && !job->n_images)
-        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
+    if (!rc)
+        rc = train_scene_any(s, job, e);
     if (!rc)
         job->images = images;
     return rc;
@@ -123,7 +139,7 @@ enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_c
                             &job->n_test, e);
     if (!rc)
         rc = train_scene_planned(s, index, job, e);
-    if (!rc && !job->n_images)
-        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
+    if (!rc)
+        rc = train_scene_any(s, job, e);
     return rc && s->plan.n_cells > 1 ? err_add(e, "cell %s", s->plan.cells[index].id) : rc;
 }

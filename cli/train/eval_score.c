@@ -95,6 +95,11 @@ enum err_code eval_score_drawing(struct eval_score *s, const struct eval_city *c
     enum err_code rc = eval_score_folder(s->pictures, d->what, path, &src.pictures, e);
     if (!rc)
         rc = evaluate_run(photos, c->n_images, &src, &score, e);
+    if (!rc && !score.n_photos)
+        rc = err_set(e, ERR_DATA,
+                     "%s: masks leave nothing of the test photographs, so there is no score; "
+                     "`citysplat ingest` without --mask-dir, or with other masks, gives some",
+                     d->what);
     return rc ? rc : eval_score_row(s, d->what, edge_px, &score, e);
 }
 

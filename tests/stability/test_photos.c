@@ -12,6 +12,7 @@
 #include "train/photographs/evaluate.h"
 #include "train/photographs/photo_loader.h"
 #include "train/photographs/residual.h"
+#include "train/train.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -166,6 +167,41 @@ static void masked_things_that_move_leave_no_trace(void **state)
     assert_true(masked.box_db > unmasked.box_db + F17_GAIN_DB);
     kit_rmdir(dir);
     gauss_free(&g);
+}
+
+/* Masks that leave nothing of the test photographs are no reason to lose what was trained. */
+static void masked_test_photographs_score_nothing(void **state)
+{
+    const struct toy t = toy_spec();
+    struct gauss g = {0};
+    struct arena a = {0};
+    struct err e = {0};
+    struct image img = {0};
+    struct train_result r = {0};
+    char dir[FILE_PATH_MAX], masks[FILE_PATH_MAX], path[FILE_PATH_MAX], name[32];
+    kit_tmpdir(dir);
+    toy_gauss(&t, &g);
+    toy_write(dir, &t, &g);
+    kit_ok(file_join(masks, dir, "masks", &e), e);
+    kit_ok(file_mkdir(masks, &e), e);
+    kit_ok(image_alloc(t.width_px, t.height_px, 1, &img, &e), e);
+    memset(img.px, 0, (size_t)t.width_px * t.height_px);
+    for (size_t i = 0; i < t.photos; i += t.test_every) {
+        snprintf(name, sizeof name, "p%02zu.png", i);
+        kit_ok(mask_path(masks, name, path, &e), e);
+        kit_ok(image_write(path, &img, 0, NULL, &e), e);
+    }
+    struct train_config c = toy_config(&a, NULL);
+    c.iterations.one = 60;
+    kit_ok(train_run(dir, &c, &r, &e), e);
+    assert_int_equal(r.cells[0].n_test, 0);
+    for (size_t i = 0; i < 3; i++)
+        assert_true(isnan(r.cells[0].psnr_db[i]) && r.cells[0].n_gaussians[i] > 0);
+    train_result_free(&r);
+    image_free(&img);
+    gauss_free(&g);
+    arena_free(&a);
+    kit_rmdir(dir);
 }
 
 /* ---- F18 ---- */
@@ -401,6 +437,7 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(photographs_take_no_more_memory_than_allowed),
         cmocka_unit_test(masked_things_that_move_leave_no_trace),
+        cmocka_unit_test(masked_test_photographs_score_nothing),
         cmocka_unit_test(wrong_poses_are_named),
     };
     return cmocka_run_group_tests_name("photos", tests, toy_open_device, f18_remove);

@@ -74,7 +74,6 @@ static struct train_config plain_config(struct arena *a, int64_t steps)
     c.iterations.one = steps;
     c.budget.v[2] = 5000;
     c.densify_from = 1000000000;
-    c.reset_interval = 1000000000;
     c.scale_weight = 0.0;
     /* they fade floaters as well */
     c.solid_spread = c.solid_light = c.solid_flat = 0.0;
@@ -157,8 +156,7 @@ static void giants_and_needles_shrink(void **state)
     f4_train(&c, &first, &size[1], &ratio[1], &psnr[1]);
     c.scale_weight = 0.05;
     f4_train(&c, &first, &size[2], &ratio[2], &psnr[2]);
-    c.densify_from = 0; /* as it is used: with removal by size, which begins after a reset */
-    c.reset_interval = 150;
+    c.densify_from = 0; /* as it is used: with removal by size */
     c.budget.v[2] =
         (int64_t)first.n; /* removal alone: more Gaussians would learn 9 photographs by heart */
     c.tau.v[2] = 1e3;     /* nothing grows */

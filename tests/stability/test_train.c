@@ -148,8 +148,7 @@ static struct train_config short_config(struct arena *a)
 {
     struct train_config c = toy_config(a, NULL);
     c.iterations.one = F30_STEPS;
-    c.densify_interval_min = 4;
-    c.reset_interval = 7; /* densification, resets, three levels: all of it within 40 steps */
+    c.densify_interval_min = 4; /* densification and three levels, all of it within 40 steps */
     return c;
 }
 

@@ -61,8 +61,7 @@ static void open_demo(struct fixture *f)
                                             .downsample = downsample[k],
                                             .budget = budget[k],
                                             .interval = 50,
-                                            .densify_until = 750,
-                                            .reset_interval = 10000};
+                                            .densify_until = 750};
     forecast_open(&f->forecast, &f->gallery, &f->at, TESTS, true);
 }
 

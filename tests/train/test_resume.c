@@ -404,6 +404,26 @@ static void a_finished_run_is_not_lost(void **state)
     trial_close(&t);
 }
 
+/* A run that begins anew and ends before its first own state leaves none of the run before. */
+static void a_state_that_was_given_up_is_gone(void **state)
+{
+    char resume[FILE_PATH_MAX + 64], metrics[FILE_PATH_MAX + 64];
+    struct trial t;
+    trial_open(&t);
+    snprintf(resume, sizeof resume, "%s/cells/all/resume.ckpt", t.out);
+    snprintf(metrics, sizeof metrics, "%s/cells/all/metrics.jsonl", t.out);
+    t.c.stop_after = 2;
+    kit_fails(trial_run(&t), ERR_CANCEL, t.e, "stopped");
+    assert_true(file_exists(resume));
+    assert_int_equal(unlink(metrics), 0);
+    kit_ok(file_mkdir(metrics, &t.e), t.e); /* what stops the next run early */
+    t.c.overwrite = true;
+    kit_fails(trial_run(&t), ERR_IO, t.e, "metrics.jsonl");
+    assert_false(file_exists(resume));
+    assert_int_equal(rmdir(metrics), 0);
+    trial_close(&t);
+}
+
 int main(int argc, char **argv)
 {
     if (argc > 1)
@@ -416,6 +436,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(a_state_with_wide_moments_is_refused),
         cmocka_unit_test(what_a_run_was_made_of_may_not_change),
         cmocka_unit_test(a_finished_run_is_not_lost),
+        cmocka_unit_test(a_state_that_was_given_up_is_gone),
     };
     return cmocka_run_group_tests_name("resume", tests, blobs_open, blobs_close);
 }

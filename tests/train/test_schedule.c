@@ -1,4 +1,4 @@
-/* The schedule: ceilings, steps of densification and resets, learning rates, short and long runs.
+/* The schedule: ceilings, steps of densification, learning rates, short and long runs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -111,11 +111,7 @@ static void full_run_has_the_published_numbers(void **state)
     assert_int_equal(schedule_densify_index(&s[0], 15000), 0); /* the end of the level */
     assert_int_equal(schedule_densify_index(&s[2], 14900), schedule_densify_count(&s[2]) - 1);
     assert_int_equal(schedule_densify_index(&s[2], 15000), 0);
-    /* resets at multiples of 3000, none in the last 3000 before densification ends */
-    assert_true(schedule_resets(&s[0], 3000) && schedule_resets(&s[0], 9000));
-    assert_false(schedule_resets(&s[0], 12000) || schedule_resets(&s[0], 15000));
-    assert_false(schedule_resets(&s[0], 3001) || schedule_resets(&s[0], 0));
-    /* huge Gaussians go from the first reset on, and at later levels from the start */
+    /* huge Gaussians go after a fifth of the first level, and at later levels from the start */
     assert_false(schedule_limits_size(&s[0], 3000));
     assert_true(schedule_limits_size(&s[0], 3001) && schedule_limits_size(&s[1], 1));
     /* harmonics: a degree every 1000 steps at the first level, all of them afterwards */
@@ -184,7 +180,6 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
     assert_int_equal(s[0].interval, 453);
     assert_int_equal(s[2].interval, 151);
     assert_int_equal(s[0].densify_from, 755);
-    assert_int_equal(s[0].reset_interval, 4530);
     c.iterations.one = 2000;
     kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 500);
@@ -192,8 +187,6 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
     assert_int_equal(s[2].steps, 1000);
     for (int l = 0; l < 3; l++) {
         assert_true(s[l].interval >= 50);
-        for (uint32_t t = 1; t <= s[l].steps; t++)
-            assert_false(schedule_resets(&s[l], t)); /* no time to recover from one */
         assert_true(schedule_densify_count(&s[l]) > 1);
     }
     assert_int_equal(schedule_sh_degree(&s[0], 500), 3);
@@ -341,7 +334,7 @@ static void coarser_levels_can_be_made_again(void **state)
             assert_true(fabs(schedule_fade(now, now->steps) - 0.1) < 1e-12);
             assert_true(now->thin_share == (double)now->budget / (double)s[at.at + 1].budget);
             for (uint32_t t = 1; t <= now->steps; t++)
-                assert_true(!schedule_densify_index(now, t) && !schedule_resets(now, t));
+                assert_false(schedule_densify_index(now, t));
         }
         if (turn == 3)
             stage_turn(&at, &c);

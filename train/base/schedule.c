@@ -1,4 +1,4 @@
-/* What happens at which step of a level: length, densification, opacity resets, degree of
+/* What happens at which step of a level: length, densification, degree of
  * harmonics, learning rate of positions. All are pure functions of the options, so a resumed run
  * needs no state for them.
  *
@@ -195,12 +195,8 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
     s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
     s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
-    /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
-    s->reset_interval = cfg->reset_interval > 0
-                            ? schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0))
-                            : 0;
     /* The first Gaussians may be as large as the gaps between points; later levels begin without
-     * such. Shrinks with the run, which need not have a reset. */
+     * such. */
     s->size_from = s->turn == 1 ? schedule_round(SCHEDULE_SIZE_FROM * kappa) : 0;
     s->sh_degree = (uint32_t)cfg->sh_degree;
     s->sh_interval = s->turn == 1 ? schedule_round(SCHEDULE_SH_INTERVAL * shrink) : 0;
@@ -235,7 +231,6 @@ struct schedule schedule_again(const struct schedule *s, const struct schedule *
     again.lr_mean_last = fmin(s->lr_mean_last, again.lr_mean_first);
     again.fade_from = (uint32_t)floor((double)again.steps * (1.0 - schedule_fade_share(cfg)) + 0.5);
     again.densify_until = 0; /* it has all its Gaussians */
-    again.reset_interval = 0;
     again.size_from = 0;
     again.sh_interval = 0; /* what fades during a level is at its end */
     return again;
@@ -329,19 +324,6 @@ uint32_t schedule_densify_index(const struct schedule *s, uint32_t step)
     if (step <= s->densify_from || step > schedule_densify_last(s) || step % s->interval)
         return 0;
     return step / s->interval - s->densify_from / s->interval;
-}
-
-/* The last interval before densification ends is left for the opacities to come back. */
-static uint32_t schedule_last_reset(const struct schedule *s)
-{
-    uint32_t end = schedule_densify_last(s);
-    return end > s->reset_interval ? end - s->reset_interval : 0;
-}
-
-bool schedule_resets(const struct schedule *s, uint32_t step)
-{
-    return s->reset_interval > 0 && step > 0 && step % s->reset_interval == 0 &&
-           step <= schedule_last_reset(s);
 }
 
 uint32_t schedule_thinnings_derived(const struct schedule *s)

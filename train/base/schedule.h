@@ -21,7 +21,6 @@ struct schedule { /* schedule of one level; steps are 1-based and restart at eve
     size_t around; /* Gaussians of the coarse model around the cell */
     uint32_t interval, densify_from,
         densify_until;               /* densify if from < step < until and interval | step */
-    uint32_t reset_interval;         /* 0: never */
     uint32_t size_from;              /* Gaussians that are too large are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: full degree from the start */
     bool absgrad;
@@ -83,7 +82,6 @@ enum { SCHEDULE_THINNINGS = 3 };
 uint32_t schedule_thinning(const struct schedule *s, uint32_t step);
 /* How many a derived level has: it ends with its share of Gaussians also where it is short. */
 uint32_t schedule_thinnings_derived(const struct schedule *s);
-bool schedule_resets(const struct schedule *s, uint32_t step);
 /* Returns whether a densification at this step may remove Gaussians for their size. */
 bool schedule_limits_size(const struct schedule *s, uint32_t step);
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);

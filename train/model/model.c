@@ -258,27 +258,6 @@ enum err_code model_show(struct model *m, size_t n, struct err *e)
 
 /* ---- looking at it and changing it in place ---- */
 
-enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
-{
-    const struct render_model *g = &m->gauss;
-    float logit = (float)log(top / (1.0 - top));
-    cl_mem *arrays[MODEL_ARRAYS];
-    enum err_code rc = ERR_OK;
-    model_arrays(m, arrays);
-    for (size_t k = 0; !rc && k < MODEL_ARRAYS; k++) {
-        void *mapped = NULL;
-        rc = dev_map(m->dev, *arrays[k], CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &mapped, e);
-        for (size_t i = 0; !rc && i < g->n; i++) {
-            float *o = (float *)mapped + layout_at(i, g->planes) +
-                       (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES;
-            *o = k ? 0.0f : fminf(*o, logit);
-        }
-        if (!rc)
-            rc = dev_unmap(m->dev, *arrays[k], &mapped, e);
-    }
-    return rc;
-}
-
 enum err_code model_count_inside(struct model *m, const struct cell *cell, uint8_t *outside,
                                  size_t *out, struct err *e)
 {

@@ -98,8 +98,6 @@ enum err_code model_show(struct model *m, size_t n, struct err *e) ERR_USE;
 /* Set moments, or statistics, to 0. ERR_DEVICE. */
 enum err_code model_zero_moments(struct model *m, struct err *e) ERR_USE;
 enum err_code model_zero_stats(struct model *m, struct err *e) ERR_USE;
-/* Lowers opacities above `top` (0..1) to it and sets their moments to 0. ERR_DEVICE. */
-enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ERR_USE;
 /* Number of Gaussians inside the cell. outside [n]: 1 where one is not, else 0; may be NULL.
  * ERR_DEVICE. */
 enum err_code model_count_inside(struct model *m, const struct cell *cell, uint8_t *outside,

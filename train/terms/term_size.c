@@ -26,7 +26,7 @@ struct term_size {
     uint8_t *parts; /* of the ground; NULL without one */
 };
 
-/* From the first opacity reset and one densification after it; later levels go on with it. */
+/* Not while the first Gaussians still close the gaps between points; later levels go on with it. */
 bool term_size_begun(const struct gallery *g, const struct stage *at)
 {
     const struct schedule *s = stage_schedule(at);
