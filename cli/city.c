@@ -5,7 +5,7 @@
  *
  *   DIR/align/            poses, unless the folder has COLMAP's model (citysplat align)
  *   DIR/scene/            the scene (ingest), depths (stereo), what was trained (train)
- *   DIR/ingest.options    what the scene was made with
+ *   DIR/ingest.options    what the scene was made with, and of
  *   DIR/NAME.tiles        the store (tile)
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -23,10 +23,15 @@
 #include <time.h>
 #include <unistd.h>
 
+#include <jansson.h>
+
 #include "cli/base/cli.h"
 #include "cli/city.h"
+#include "cli/city_inputs.h"
 #include "codec/image/image.h"
+#include "codec/scene/scene.h"
 #include "scene/ingest/ingest_files.h"
+#include "scene/stereo/depths.h"
 
 enum { CITY_ARGS = 48, CITY_NAP_MS = 50, CITY_GPS_LEAST = 3 };
 
@@ -112,8 +117,9 @@ static int city_wait(pid_t pid)
     }
 }
 
-/* Runs this program as another command. *code: its exit code, 0 or 1; NULL: 1 is an error too. */
-static enum err_code city_run(const struct city_step *s, int *code, struct err *e)
+/* Runs this program as another command. What it has finished is finished, also if we are to stop.
+ */
+static enum err_code city_run(const struct city_step *s, struct err *e)
 {
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped; the same command goes on");
@@ -132,18 +138,15 @@ static enum err_code city_run(const struct city_step *s, int *code, struct err *
     if (pid < 0)
         return err_errno(e, ERR_IO, "cannot start citysplat %s", s->argv[1]);
     int status = city_wait(pid), exit = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    if (exit == 0)
+        return ERR_OK;
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped; the same command goes on");
-    if (code && (exit == 0 || exit == 1)) {
-        *code = exit;
-        return ERR_OK;
-    }
     if (exit < 0)
         return err_set(e, ERR_DATA, "citysplat %s: killed by signal %d; the same command goes on",
                        s->argv[1], WTERMSIG(status));
-    return exit ? err_set(e, exit == 2 ? ERR_ARG : ERR_DATA, "citysplat %s failed, as said above",
-                          s->argv[1])
-                : ERR_OK;
+    return err_set(e, exit == 2 ? ERR_ARG : ERR_DATA, "citysplat %s failed, as said above",
+                   s->argv[1]);
 }
 
 /* ---- poses ---- */
@@ -157,13 +160,26 @@ static bool city_is_newer(const char *path, const struct stat *than)
                                                      : st.st_mtim.tv_nsec > than->st_mtim.tv_nsec;
 }
 
+/* Whether photographs without a pose might get one in the minutes that are given now. */
+static bool city_may_place_more(const struct city *c, const char *result)
+{
+    json_t *root = NULL;
+    if (jsonc_read(result, &root, NULL))
+        return false;
+    const json_t *minutes = json_object_get(json_object_get(root, "config"), "minutes");
+    const bool more = json_array_size(json_object_get(root, "unplaced")) > 0 &&
+                      json_is_number(minutes) && json_number_value(minutes) < c->o->minutes;
+    json_decref(root);
+    return more;
+}
+
 /* Poses are there, and no photograph came after them. */
 static enum err_code city_has_poses(struct city *c, const char *result, bool *has, struct err *e)
 {
     struct ingest_files files;
     struct stat made;
     char path[FILE_PATH_MAX];
-    *has = !stat(result, &made);
+    *has = !stat(result, &made) && !city_may_place_more(c, result);
     if (!*has)
         return ERR_OK;
     enum err_code rc = ingest_files_list(c->images, &files, e);
@@ -241,39 +257,16 @@ static enum err_code city_align(struct city *c, struct err *e)
     city_add(&s, "-o", model);
     city_add(&s, "--minutes", arena_printf(&c->arena, "%.17g", c->o->minutes));
     city_word(&s, c->o->overwrite ? "--overwrite" : NULL);
-    return city_run(&s, NULL, e);
+    return city_run(&s, e);
 }
 
 /* ---- the scene ---- */
-
-/* One text of all that decides the scene: other options are noticed by it. */
-static enum err_code city_told(const struct city_step *s, struct buf *b, struct err *e)
-{
-    for (size_t i = 2; i < s->n; i++)
-        buf_printf(b, "%s%s", i > 2 ? " " : "", s->argv[i]);
-    return buf_check(b, e);
-}
-
-static enum err_code city_same_scene(const char *path, const char *scene, const struct buf *told,
-                                     struct err *e)
-{
-    struct buf was = {0};
-    enum err_code rc = file_exists(path) ? file_read(path, 0, &was, e) : ERR_OK;
-    if (!rc && (was.size != told->size || (was.size && memcmp(was.data, told->data, was.size))))
-        rc = err_set(e, ERR_ARG,
-                     "%s was made with other options (%.*s): give another -o for another city, or "
-                     "--overwrite to make it anew, which removes what was trained",
-                     scene, (int)(was.size < 500 ? was.size : 500),
-                     was.size ? (const char *)was.data : "");
-    buf_free(&was);
-    return rc;
-}
 
 static enum err_code city_ingest(struct city *c, struct err *e)
 {
     const struct city_options *o = c->o;
     struct city_step s;
-    struct buf told = {0};
+    struct buf told = {0}, was = {0};
     char *scene = city_path(c, "scene"), *made = city_path(c, "scene/scene.json"),
          *path = city_path(c, "ingest.options"),
          *edge = arena_printf(&c->arena, "%lld", (long long)o->max_edge_px);
@@ -294,21 +287,35 @@ static enum err_code city_ingest(struct city *c, struct err *e)
     city_add(&s, "--geoid", o->geoid);
     city_add(&s, "--mask-dir", o->masks);
     city_add(&s, "--attribution", o->attribution);
-    enum err_code rc = city_told(&s, &told, e);
+    enum err_code rc = city_inputs_tell(s.argv + 2, s.n - 2, &told, e);
     bool there = file_exists(made) && !o->overwrite;
+    if (!rc && there && file_exists(path))
+        rc = file_read(path, 0, &was, e);
     if (!rc && there)
-        rc = city_same_scene(path, scene, &told, e);
+        rc = city_inputs_same(scene, &was, &told, e);
     if (!rc)
         city_say(there ? "2/5 the scene is there already: "
                        : "2/5 ingest: poses and GPS into metres, east-north-up: ",
                  scene);
     city_add(&s, "-o", scene);
     city_word(&s, o->overwrite ? "--overwrite" : NULL);
-    if (!rc && !there)
-        rc = city_run(&s, NULL, e);
-    if (!rc && !there)
+    if (!rc && !there) /* first: a scene without it would never be taken up again */
         rc = file_write(path, told.data, told.size, e);
+    if (!rc && !there)
+        rc = city_run(&s, e);
+    buf_free(&was);
     buf_free(&told);
+    return rc;
+}
+
+/* Whether photographs have neighbours at all. */
+static enum err_code city_has_depths(const char *dir, bool *has, struct err *e)
+{
+    struct scene scene = {0};
+    enum err_code rc = scene_read(dir, &scene, e);
+    if (!rc)
+        rc = depths_possible(&scene, has, e);
+    scene_free(&scene);
     return rc;
 }
 
@@ -318,23 +325,27 @@ static enum err_code city_stereo(struct city *c, struct err *e)
 {
     struct city_step s;
     char *scene = city_path(c, "scene"), *made = city_path(c, "scene/depth/depths.json");
-    int code = 0;
+    bool has = false;
     if (!scene || !made)
         return city_no_memory(e);
     if (file_exists(made))
         return ERR_OK;
+    enum err_code rc = city_has_depths(scene, &has, e);
+    if (rc)
+        return rc;
+    if (!has) {
+        city_say("3/5 no photograph has a neighbour: training goes on without depths", "");
+        return ERR_OK;
+    }
     city_say("3/5 stereo: depths of the photographs from their neighbours", "");
     city_begin(&s, "stereo");
     city_word(&s, scene);
-    enum err_code rc = city_run(&s, &code, e);
-    if (!rc && code)
-        city_say("no depths: training goes on without them", "");
-    return rc;
+    return city_run(&s, e);
 }
 
 /* ---- training and tiles ---- */
 
-/* Calls fn for DIR/scene/cells/ID/`name` of every cell that has it. */
+/* Whether any cell has DIR/scene/cells/ID/`name`, newer than the other if there is one. */
 static bool city_cells_have(struct city *c, const char *name, const struct stat *newer_than)
 {
     char *cells = city_path(c, "scene/cells"), path[FILE_PATH_MAX];
@@ -366,7 +377,7 @@ static enum err_code city_train(struct city *c, struct err *e)
     city_add(&s, "--iterations", steps);
     city_word(&s, "--final-all"); /* nobody looks for gaps where photographs were kept for scores */
     city_word(&s, resume ? "--resume" : NULL);
-    return city_run(&s, NULL, e);
+    return city_run(&s, e);
 }
 
 /* The store, unless it is younger than all that was trained. */
@@ -389,14 +400,14 @@ static enum err_code city_tile(struct city *c, struct err *e)
         city_add(&s, "--name", c->name);
         city_add(&s, "-o", fresh);
         city_word(&s, "--overwrite"); /* of a run that was killed */
-        rc = city_run(&s, NULL, e);
+        rc = city_run(&s, e);
         if (!rc && rename(fresh, store))
             rc = err_errno(e, ERR_IO, "%s: cannot rename", fresh);
     }
     city_begin(&s, "info");
     city_word(&s, store);
     if (!rc)
-        rc = city_run(&s, NULL, e);
+        rc = city_run(&s, e);
     if (!rc)
         printf(
             "names    %s, of -o, has all that was made and may be renamed; %s, %s, is the name of "

@@ -84,10 +84,6 @@ static enum err_code depths_read(void *user, size_t i, struct err *e)
     struct depths_view *v = &d->views[i];
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct image full = {0};
-    double edge = fmax(im->cam.width_px, im->cam.height_px),
-           f = fmin(1.0, d->cfg->max_edge_px / edge);
-    v->cam = camera_resize(&im->cam, (uint32_t)fmax(floor(im->cam.width_px * f + 0.5), 1.0),
-                           (uint32_t)fmax(floor(im->cam.height_px * f + 0.5), 1.0));
     if (!d->use[i])
         return ERR_OK;
     enum err_code rc = file_join(dir, d->scene->dir, "images", e);
@@ -320,6 +316,15 @@ static enum err_code depths_points(const struct depths *d, struct depths_result 
 
 /* ---- all ---- */
 
+static struct camera depths_camera(const struct depths *d, size_t i)
+{
+    const struct camera *c = &d->scene->images[i].cam;
+    const double f = fmin(1.0, d->cfg->max_edge_px / fmax(c->width_px, c->height_px));
+    return camera_resize(c, (uint32_t)fmax(floor(c->width_px * f + 0.5), 1.0),
+                         (uint32_t)fmax(floor(c->height_px * f + 0.5), 1.0));
+}
+
+/* Who is compared with whom. */
 static enum err_code depths_open(struct depths *d, struct err *e)
 {
     const struct scene *s = d->scene;
@@ -328,10 +333,24 @@ static enum err_code depths_open(struct depths *d, struct err *e)
     d->known = mem_array(s->n_images, sizeof *d->known);
     if (!d->views || !d->use || !d->known)
         return err_set(e, ERR_MEM, "stereo: out of memory for %zu photographs", s->n_images);
-    for (size_t i = 0; i < s->n_images; i++)
+    for (size_t i = 0; i < s->n_images; i++) {
         d->use[i] = !d->cfg->test_split || s->images[i].split == SCENE_TRAIN;
-    enum err_code rc = pairs_find(s, d->use, DEPTHS_NEAR, &d->pairs, e);
-    return rc ? rc : pool_for(s->n_images, 0, depths_read, d, e);
+        d->views[i].cam = depths_camera(d, i);
+    }
+    return pairs_find(s, d->use, DEPTHS_NEAR, &d->pairs, e);
+}
+
+enum err_code depths_possible(const struct scene *s, bool *out, struct err *e)
+{
+    const struct depths_config cfg = {.max_edge_px = UINT32_MAX, .test_split = true};
+    struct depths d = {.scene = s, .cfg = &cfg};
+    struct sweep_input in;
+    *out = false;
+    enum err_code rc = s->n_points && s->n_tracks ? depths_open(&d, e) : ERR_OK;
+    for (size_t i = 0; !rc && d.pairs.n_near && !*out && i < s->n_images; i++)
+        *out = d.use[i] && depths_input(&d, i, &in);
+    depths_close(&d);
+    return rc;
 }
 
 static enum err_code depths_sweeps(struct depths *d, struct dev *dev, struct depths_result *out,
@@ -366,6 +385,10 @@ static enum err_code depths_sweeps(struct depths *d, struct dev *dev, struct dep
     progress_end(&progress, NULL);
     sweep_close(&s);
     mem_free(score);
+    if (!rc && !out->photographs)
+        rc = err_set(e, ERR_DATA,
+                     "%s: all photographs are kept for scores: --no-test-split takes them too",
+                     d->scene->dir);
     if (!rc && !out->maps)
         rc = err_set(e, ERR_DATA, "%s: no photograph has a neighbour that shares %d points",
                      d->scene->dir, PAIRS_SHARED_MIN);
@@ -404,6 +427,8 @@ enum err_code depths_make(struct dev *dev, const struct scene *s, const struct d
     enum err_code rc = outdir_begin(dir, "depths.json", cfg->overwrite, &part, e);
     if (!rc)
         rc = depths_open(&d, e);
+    if (!rc)
+        rc = pool_for(s->n_images, 0, depths_read, &d, e);
     if (!rc)
         rc = depths_sweeps(&d, dev, out, e);
     if (!rc)

@@ -44,6 +44,9 @@ struct depths_result {
     size_t points;
     double seconds;
 };
+/* Sets *out: photographs of the scene have neighbours that depths can be made from. Reads no
+ * photograph. ERR_MEM. */
+enum err_code depths_possible(const struct scene *s, bool *out, struct err *e) ERR_USE;
 /* Writes `dir`/NAME.npy for every photograph with neighbours: inverse depth in 1/m, [h][w], NaN
  * where neighbours do not agree; points.npy, [n][6]: east, north, up in metres, red, green, blue;
  * and depths.json. The folder appears when it is complete. ERR_ARG (the folder exists), ERR_DATA

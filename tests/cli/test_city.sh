@@ -62,6 +62,15 @@ grep -q '"origin": "7.5731,47.5582,300"' "$other/scene/report.json" || fail "--o
 grep -q '"heights": "ellipsoid"' "$other/scene/scene.json" || fail "--geoid did not reach ingest"
 [ "$(stat -c %Y.%i "$scene/cells/all/done.json")" = "$done_at" ] || fail "the other folder touched the first one"
 
+# A model that changed since is named, and nothing is made of the old one. Without the change all is as before.
+echo "# more" >"$work/b/my flight/sparse/0/more.txt"
+city "$work/b/my flight" --origin 7.5731,47.5582,300 --geoid egm96 && fail "a changed model was passed over"
+expect "a changed model" "my flight/sparse has changed since"
+rm "$work/b/my flight/sparse/0/more.txt"
+touch "$work/b/my flight/sparse/0/"*
+city "$work/b/my flight" --origin 7.5731,47.5582,300 --geoid egm96 || fail "the model as before: exit $?"
+expect "the model as before" "the scene is there already"
+
 # Photographs alone: their poses come first. What failed goes on; what is there is not done again.
 mkdir "$work/path" "$work/c" && ln -s "${FAKE_COLMAP:?the stand-in for COLMAP}" "$work/path/colmap"
 cp -r "$work/a/my flight/images" "$work/c/photographs alone"
