@@ -355,6 +355,18 @@ enum err_code change_write(struct nadir *earlier, struct nadir *later,
                            .least_m = r->least_m > 0 ? r->least_m : CHANGE_LEAST_M};
     uint32_t rounds = 0;
     struct crs *crs = NULL;
+    const char *from[2] = {store_info(nadir_store(earlier))->heights,
+                           store_info(nadir_store(later))->heights};
+    if (!heights_same(from[0], from[1]) && !r->align) {
+        char words[2][HEIGHTS_WORDS_MAX];
+        heights_words(from[0], words[0]);
+        heights_words(from[1], words[1]);
+        return err_set(e, ERR_DATA,
+                       "the earlier heights count from %s, the later ones from %s: "
+                       "their difference is no change. Make both with the same --geoid or "
+                       "--heights of `ingest`, or give --align, which takes a constant shift away",
+                       words[0], words[1]);
+    }
     if (!change_box(a, b, r->bbox_deg, box))
         return err_set(e, ERR_ARG, "the two were not surveyed in one place: nothing to compare");
     /* Pixels of the coarser of the two. */

@@ -43,7 +43,7 @@ static const char *const ply_rgb_names[3] = {"red", "green", "blue"};
 struct columns {
     /* [9] is NULL: two scales, a disc; [8] as well: one, a ball */
     const struct ply_property *fixed[N_FIXED];
-    double color_most; /* of colours that are red, green and blue; 0: they are f_dc */
+    double color_most; /* white of colours that are red, green and blue; 0: they are f_dc */
     const struct ply_property *rest[N_REST_MAX];
     size_t n_rest; /* per channel */
     uint32_t sh_degree;
@@ -160,16 +160,13 @@ static void ply_means_read(const struct source *s, const struct columns *col, st
                 (float)(ply_source_get(s, i, col->fixed[c]) - g->origin_enu_m[c]);
 }
 
-/* White of colours that are red, green and blue: where these are floats, 255 if one is above 1. */
-static double ply_color_range(const struct source *s, const struct columns *col, size_t n)
+/* Red, green and blue as floats end at 1, or at 255 if any row of the file has more than 1. */
+static void ply_color_range(const struct source *s, struct columns *col, size_t n)
 {
-    if (col->color_most != 1)
-        return col->color_most;
-    for (size_t i = 0; i < n; i++)
+    for (size_t i = 0; i < n && col->color_most == 1; i++)
         for (size_t c = 3; c < 6; c++)
             if (ply_source_get(s, i, col->fixed[c]) > 1.01)
-                return 255;
-    return 1;
+                col->color_most = 255;
 }
 
 /* Little-endian float32 in the order of trainers, as nearly all files have it. */
@@ -220,7 +217,6 @@ static void ply_rows_read(const struct source *s, const struct columns *col, str
         return;
     }
     const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
-    const double color_most = ply_color_range(s, col, g->n);
     ply_means_read(s, col, g);
     for (size_t i = 0; i < g->n; i++) {
         float *sh = g->sh + 3 * k * i;
@@ -231,8 +227,8 @@ static void ply_rows_read(const struct source *s, const struct columns *col, str
                                          : scale[0];
             scale[c] = ln < SCALE_LOG_MIN && !isfinite(ln) ? SCALE_LOG_MIN : ln;
             sh[c] = (float)ply_source_get(s, i, col->fixed[3 + c]);
-            if (color_most > 0)
-                sh[c] = (float)(((double)sh[c] / color_most - 0.5) / GAUSS_SH_C0);
+            if (col->color_most > 0)
+                sh[c] = (float)(((double)sh[c] / col->color_most - 0.5) / GAUSS_SH_C0);
             for (size_t r = 0; r < n_rest; r++)
                 sh[3 * (r + 1) + c] = (float)ply_source_get(s, i, col->rest[c * col->n_rest + r]);
         }
@@ -266,6 +262,7 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
         struct source s = {h, v->rows, v->row_bytes, v->n_props, text};
         out->n = v->count;
         out->antialiased = h->antialiased;
+        ply_color_range(&s, &col, out->n);
         ply_rows_read(&s, &col, out);
         rc = gauss_keep_good(out, "ply", e);
     }
@@ -277,7 +274,10 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
 
 /* ---- a file larger than memory ---- */
 
-enum { PLY_HEAD_MAX = 4 << 20 }; /* more than the longest head that is understood */
+enum {
+    PLY_HEAD_MAX = 4 << 20, /* more than the longest head that is understood */
+    PLY_SLICE = 1 << 16     /* rows of a part that is only looked at */
+};
 
 struct ply_stream {
     char path[FILE_PATH_MAX];
@@ -325,6 +325,39 @@ static enum err_code ply_stream_head(struct ply_stream *s, bool *fits, struct er
     return rc;
 }
 
+/* Some rows as they lie in the file; *rows is freed by the caller, also after an error. */
+static enum err_code ply_stream_rows_read(const struct ply_stream *s, size_t first, size_t n,
+                                          uint8_t **rows, struct err *e)
+{
+    const struct ply_element *v = s->vertex;
+    size_t got = 0;
+    *rows = mem_uninit(n, v->row_bytes);
+    enum err_code rc = *rows ? ply_read_at(s, *rows, n * v->row_bytes,
+                                           v->rows_at + (uint64_t)first * v->row_bytes, &got, e)
+                             : err_set(e, ERR_MEM, "%s: out of memory for %zu rows", s->path, n);
+    if (!rc && got < n * v->row_bytes)
+        rc = err_set(e, ERR_FORMAT, "%s: row %zu: the file ends: truncated while it was read",
+                     s->path, first + got / v->row_bytes);
+    return rc;
+}
+
+/* One range for all parts of the file. */
+static enum err_code ply_stream_color_range(struct ply_stream *s, struct err *e)
+{
+    const struct ply_element *v = s->vertex;
+    enum err_code rc = ERR_OK;
+    for (size_t at = 0; !rc && s->col.color_most == 1 && at < v->count; at += PLY_SLICE) {
+        const size_t n = v->count - at < PLY_SLICE ? v->count - at : PLY_SLICE;
+        uint8_t *rows = NULL;
+        rc = ply_stream_rows_read(s, at, n, &rows, e);
+        const struct source from = {&s->head, rows, v->row_bytes, v->n_props, NULL};
+        if (!rc)
+            ply_color_range(&from, &s->col, n);
+        mem_free(rows);
+    }
+    return rc;
+}
+
 enum err_code ply_stream_open(const char *path, struct ply_stream **out, struct ply_info *info,
                               struct err *e)
 {
@@ -339,6 +372,8 @@ enum err_code ply_stream_open(const char *path, struct ply_stream **out, struct 
                                  : ply_stream_head(s, &fits, e);
     if (rc && rc != ERR_IO && rc != ERR_NOENT)
         err_add(e, "%s", path);
+    if (!rc && fits)
+        rc = ply_stream_color_range(s, e);
     if (rc || !fits) {
         ply_stream_close(&s);
         return rc;
@@ -371,18 +406,12 @@ enum err_code ply_stream_read(const struct ply_stream *s, size_t first, size_t n
                               struct err *e)
 {
     const struct ply_element *v = s->vertex;
-    size_t got = 0;
     *out = (struct gauss){0};
     if (first > v->count || n > v->count - first)
         return err_set(e, ERR_ARG, "%s: rows %zu to %zu of %zu", s->path, first, first + n,
                        v->count);
-    uint8_t *rows = mem_uninit(n, v->row_bytes);
-    enum err_code rc = rows ? ply_read_at(s, rows, n * v->row_bytes,
-                                          v->rows_at + (uint64_t)first * v->row_bytes, &got, e)
-                            : err_set(e, ERR_MEM, "%s: out of memory for %zu rows", s->path, n);
-    if (!rc && got < n * v->row_bytes)
-        rc = err_set(e, ERR_FORMAT, "%s: row %zu: the file ends: truncated while it was read",
-                     s->path, first + got / v->row_bytes);
+    uint8_t *rows = NULL;
+    enum err_code rc = ply_stream_rows_read(s, first, n, &rows, e);
     if (!rc)
         rc = gauss_uninit(out, n, s->col.sh_degree, 0, e);
     if (!rc) {

@@ -1,9 +1,9 @@
 /* Header of a .ply: lines of text up to end_header, then the elements' rows one after the other.
  *
  * Everything a hostile header can say is bounded here: line and property counts, element counts
- * against the bytes that follow. Comments that matter: "citysplat origin lon lat h", "axes
- * ENU|glTF", and the two ways in which trainers say that they used anti-aliasing. Source: G. Turk,
- * The PLY Polygon File Format, 1994.
+ * against the bytes that follow. Comments that matter: "citysplat origin lon lat h", "citysplat
+ * heights sea", "axes ENU|glTF", and the two ways in which trainers say that they used
+ * anti-aliasing. Source: G. Turk, The PLY Polygon File Format, 1994.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -66,6 +66,11 @@ static void head_comment_read(struct ply_head *h, const char *text)
         h->info.has_origin = true;
         h->info.origin = o;
     }
+    static const char heights[] = "citysplat heights ";
+    const char *count_from = text + sizeof heights - 1;
+    if (!strncmp(text, heights, sizeof heights - 1) && strlen(count_from) < HEIGHTS_MAX &&
+        heights_valid(count_from))
+        snprintf(h->info.heights, sizeof h->info.heights, "%s", count_from);
     if (!strcmp(text, "axes ENU"))
         h->info.axes = PLY_AXES_ENU;
     if (!strcmp(text, "axes glTF"))
@@ -278,6 +283,8 @@ void ply_head_comments(const struct ply_info *info, bool antialiased, struct buf
     if (info && info->has_origin)
         buf_printf(out, "comment citysplat origin %.17g %.17g %.17g\n", info->origin.lon_deg,
                    info->origin.lat_deg, info->origin.h_m);
+    if (info && info->has_origin && info->heights[0])
+        buf_printf(out, "comment citysplat heights %s\n", info->heights);
     if (!info || info->axes != PLY_AXES_UNKNOWN)
         buf_printf(out, "comment axes %s\n", info && info->axes == PLY_AXES_GLTF ? "glTF" : "ENU");
     if (antialiased)

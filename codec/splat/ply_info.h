@@ -8,6 +8,7 @@
 #include <stdbool.h>
 
 #include "core/geo/geo.h"
+#include "core/geo/heights.h"
 
 /* The comment "axes ENU" or "axes glTF". NONE: a file that was read has no such comment; a file to
  * write is in ENU. UNKNOWN: write no comment. */
@@ -16,6 +17,8 @@ struct ply_info {
     bool has_origin; /* comment "citysplat origin lon lat h" */
     struct geo_origin origin;
     enum ply_axes axes;
+    /* comment "citysplat heights sea-exif": what the origin's height counts from */
+    char heights[HEIGHTS_MAX];
 };
 
 #endif

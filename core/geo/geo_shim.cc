@@ -164,10 +164,11 @@ try {
 } catch (const std::bad_alloc &) {
     return err_set(e, ERR_MEM, "geoid %s: out of memory", name);
 } catch (const std::exception &x) {
-    return err_set(e, ERR_NOENT,
-                   "geoid %s: %s: give a model of GeographicLib, as egm96-5, or the path of its "
-                   ".pgm (geographiclib-get-geoids fetches it), or a .gtx file of PROJ",
-                   name, x.what());
+    return err_set(
+        e, ERR_NOENT,
+        "geoid %s: %s: give egm96, a model of GeographicLib, as egm2008-1, or the path of its "
+        ".pgm (geographiclib-get-geoids fetches it), or a .gtx file of PROJ",
+        name, x.what());
 } catch (...) {
     return err_set(e, ERR_INTERNAL, "geoid %s: unknown exception", name);
 }

@@ -45,6 +45,16 @@ bool heights_ellipsoidal(const char *text)
     return heights_kind(text) < 2;
 }
 
+bool heights_same(const char *a, const char *b)
+{
+    return !strcmp(a, b) || (heights_ellipsoidal(a) && heights_ellipsoidal(b));
+}
+
+const char *heights_name(const char *text)
+{
+    return text[0] ? text : kinds[0].text;
+}
+
 bool heights_of_sea(const char *text)
 {
     return !strcmp(text, "sea") || !strcmp(text, "sea-exif");

@@ -466,11 +466,10 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
     m->d.max_per_tile = PYRAMID_PER_TILE_MAX;
     if (model && (rc = bake_join(m->a, model, &m->d.appearance, e)))
         return rc;
-    if (strcmp(a->heights, b->heights) &&
-        !(heights_ellipsoidal(a->heights) && heights_ellipsoidal(b->heights))) {
+    if (!heights_same(a->heights, b->heights)) {
         log_warn("merge",
                  "heights count from '%s' and from '%s': those of both together are of 'unknown'",
-                 a->heights, b->heights);
+                 heights_name(a->heights), heights_name(b->heights));
         snprintf(m->d.meta.heights, sizeof m->d.meta.heights, "unknown");
     }
     if (merge_attribution(m->d.meta.attribution, sizeof m->d.meta.attribution, b->attribution))

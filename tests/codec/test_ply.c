@@ -28,7 +28,7 @@ static void test_round_trip_is_lossless(void **state)
 {
     for (uint32_t i = 0; i < 8; i++) {
         struct gauss g, back;
-        struct ply_info info = {i & 1, {8.541694, 47.376887, 408.5}, PLY_AXES_NONE}, got = {0};
+        struct ply_info info = {i & 1, {8.541694, 47.376887, 408.5}, PLY_AXES_NONE, ""}, got = {0};
         struct buf b = {0}, again = {0};
         struct err e = {0};
         kit_gauss(i, i ? 100 : 0, 3000, i % 4, 0, &g);
@@ -129,6 +129,7 @@ static void test_finds_properties_by_name(void **state)
             &b,
             "ply\r\nformat binary_%s_endian 1.0\r\ncomment SplatRenderMode: mip\n"
             "obj_info made by hand\ncomment citysplat origin 8.5 47.25 400\ncomment axes glTF\n"
+            "comment citysplat heights sea-exif\ncomment citysplat heights nonsense\n"
             "element camera 2\nproperty float f\nelement vertex 1\n%selement face 3\n"
             "property list uchar int vertex_index\nend_header\n",
             big ? "big" : "little", odd_props);
@@ -157,6 +158,7 @@ static void test_finds_properties_by_name(void **state)
         assert_int_equal(g.sh_degree, 0);
         assert_true(g.antialiased);
         assert_true(info.has_origin && info.origin.lat_deg == 47.25 && info.axes == PLY_AXES_GLTF);
+        assert_string_equal(info.heights, "sea-exif");
         assert_true(g.mean_m[0] == 1.25f && g.mean_m[1] == 7 && g.mean_m[2] == -2);
         assert_true(g.sh[0] == 3 && g.sh[1] == 2 && g.sh[2] == -1);
         assert_true(g.scale_log[0] == -2 && g.scale_log[1] == -3 && g.scale_log[2] == -4);
@@ -238,7 +240,7 @@ static void test_writes_supersplats_packed_form(void **state)
     for (uint32_t degree = 0; degree <= 3; degree++) {
         struct gauss g, back;
         struct buf b = {0};
-        struct ply_info info = {true, {8.5, 47.25, 408.5}, PLY_AXES_NONE}, got = {0};
+        struct ply_info info = {true, {8.5, 47.25, 408.5}, PLY_AXES_NONE, ""}, got = {0};
         struct err e = {0};
         const size_t k = 3 * gauss_sh_count(degree);
         kit_gauss(6 + degree, 600, 40, degree, 0, &g);
@@ -579,6 +581,43 @@ static void test_in_parts(void **state)
     kit_rmdir(dir);
 }
 
+/* Red, green and blue from 0 to 255, of which the first part has only small ones: one range for all
+ * parts. */
+static void test_in_parts_colours(void **state)
+{
+    static const char head[] = "ply\nformat binary_little_endian 1.0\nelement vertex 600\n"
+                               "property float x\nproperty float y\nproperty float z\n"
+                               "property float red\nproperty float green\nproperty float blue\n"
+                               "property float opacity\nproperty float scale_0\n"
+                               "property float scale_1\nproperty float scale_2\n"
+                               "property float rot_0\nproperty float rot_1\n"
+                               "property float rot_2\nproperty float rot_3\nend_header\n";
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct gauss whole;
+    struct ply_stream *s;
+    struct ply_info info = {0};
+    struct buf b = {0};
+    struct err e = {0};
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "a.ply", &e), e);
+    buf_add(&b, head, sizeof head - 1);
+    for (size_t i = 0; i < 600; i++) {
+        const float color = i < 300 ? 1.0f : 255.0f;
+        const float row[14] = {(float)i, 0, 0, color, color, color, 0, -1, -1, -1, 1, 0, 0, 0};
+        buf_add(&b, row, sizeof row);
+    }
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    kit_ok(ply_read(path, NULL, &whole, NULL, &e), e);
+    assert_true(fabsf(whole.sh[0] + 1.7586f) < 1e-3f && fabsf(whole.sh[3 * 599] - 1.7725f) < 1e-3f);
+    kit_ok(ply_stream_open(path, &s, &info, &e), e);
+    assert_non_null(s);
+    expect_parts(s, &whole);
+    ply_stream_close(&s);
+    buf_free(&b);
+    gauss_free(&whole);
+    kit_rmdir(dir);
+}
+
 /* A file that is cut while it is read; other kinds are left to ply_read. */
 static void test_in_parts_cut(void **state)
 {
@@ -633,6 +672,7 @@ int main(void)
         cmocka_unit_test(test_other_columns),
         cmocka_unit_test(test_files),
         cmocka_unit_test(test_in_parts),
+        cmocka_unit_test(test_in_parts_colours),
         cmocka_unit_test(test_in_parts_cut),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

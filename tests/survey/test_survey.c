@@ -333,7 +333,8 @@ static void places_have_heights(void **state)
         const double enu[3] = {(i % 8 - 3.5) * 7.1, (i / 8 - 2) * 11.3, 0};
         double lon, lat, h, z = truth_z(enu[0], enu[1]);
         kit_ok(geo_from_enu(&origin, enu, &lon, &lat, &h, &e), e);
-        kit_ok(probe_at(f.nadir, lon, lat, 0, &p, &e), e);
+        const double at[1][2] = {{lon, lat}};
+        kit_ok(probe_many(f.nadir, at, 1, 0, &p, &e), e);
         assert_true(p.surveyed && p.found && p.level == 3);
         assert_true(p.height_min_m <= p.height_m && p.height_m <= p.height_max_m);
         if (p.height_max_m - p.height_min_m < 0.3) { /* no edge at the place */
@@ -342,9 +343,10 @@ static void places_have_heights(void **state)
         }
     }
     assert_true(n > 15);
-    kit_ok(probe_at(f.nadir, 8.7, 50.2, 0, &p, &e), e);
+    kit_ok(probe_many(f.nadir, (const double[1][2]){{8.7, 50.2}}, 1, 0, &p, &e), e);
     assert_true(!p.surveyed && !p.found && isnan(p.height_m));
-    kit_fails(probe_at(f.nadir, 8, 91, 0, &p, &e), ERR_ARG, e, "latitude");
+    kit_fails(probe_many(f.nadir, (const double[1][2]){{8, 91}}, 1, 0, &p, &e), ERR_ARG, e,
+              "latitude");
 }
 
 static void refused(const struct map_request *r, const char *part)
@@ -489,6 +491,28 @@ static void other_heights_are_named(void **state)
         buf_free(&out);
         assert_int_equal(kit_run(&out, "'%s' height -q '%s' 8.6821,50.1109", bin, path), 0);
         kit_expect_text((const char *)out.data, i ? "\"EPSG:5773\"" : "sea level by EXIF", __FILE__,
+                        __LINE__);
+        buf_free(&out);
+        /* no change is told between heights of two references; a .ply keeps the reference */
+        assert_int_equal(kit_run(&out,
+                                 "cd '%s' && ! '%s' compare -q '%s' sea.tiles -o no.tif && "
+                                 "'%s' export -q sea.tiles -o sea.ply --overwrite && "
+                                 "'%s' import -q sea.ply -o back.tiles --overwrite && "
+                                 "'%s' info back.tiles --json",
+                                 f.dir, bin, f.path, bin, bin, bin),
+                         0);
+        kit_expect_text((const char *)out.data, kinds[i].heights, __FILE__, __LINE__);
+        buf_free(&out);
+        /* 3D Tiles are ellipsoidal: a warning, or raised by the geoid, about 48 m there */
+        assert_int_equal(kit_run(&out,
+                                 "cd '%s' && '%s' export sea.tiles -o sea.3tz --overwrite 2>&1 && "
+                                 "{ '%s' export -q sea.tiles -o up.ply --overwrite --geoid egm96 "
+                                 "2>&1; grep -a 'citysplat [oh]' up.ply; }",
+                                 f.dir, bin, bin),
+                         0);
+        kit_expect_text((const char *)out.data, "take them as ellipsoidal", __FILE__, __LINE__);
+        kit_expect_text((const char *)out.data,
+                        i ? "not from the sea" : "comment citysplat heights ellipsoid", __FILE__,
                         __LINE__);
         buf_free(&out);
     }
