@@ -132,8 +132,8 @@ enum { FILE_PATH_MAX = 4096 };
 enum err_code file_begin(const char *path, char *part, struct err *e) ERR_USE;
 enum err_code file_commit(const char *part, const char *path, struct err *e) ERR_USE;
 void file_abort(const char *part);
-/* Makes a folder and its parents. ERR_IO names the folder and the reason. ERR_LIMIT (path too
- * long). */
+/* Makes a folder and its parents. ERR_IO names the folder and the reason. ERR_ARG: the name is
+ * empty or too long. */
 enum err_code file_mkdir(const char *path, struct err *e) ERR_USE;
 /* Checks that the disk has room for a file or folder of so many bytes at `path`, and logs how much
  * is needed and free. ERR_IO: the disk has less room. If the free space is not known, it returns
@@ -144,6 +144,8 @@ enum err_code file_room(const char *path, uint64_t bytes, struct err *e) ERR_USE
 enum err_code file_check_secret(const char *path, const char *option, struct err *e) ERR_USE;
 bool file_exists(const char *path);
 bool file_is_dir(const char *path);
+/* Returns whether both names lead to one file that exists: also by links. */
+bool file_same(const char *a, const char *b);
 /* Joins "dir/name" into `out` [FILE_PATH_MAX]. ERR_LIMIT: too long. */
 enum err_code file_join(char *out, const char *dir, const char *name, struct err *e) ERR_USE;
 /* Lists the regular files of `dir` whose name ends in one of the suffixes, without regard to case.
@@ -216,8 +218,8 @@ int64_t clock_days(int64_t year, int64_t month, int64_t day);
 
 /* ---- signals.c: the stop flag ---- */
 
-/* SIGINT and SIGTERM set the flag. A second signal ends the process. Call it before threads start.
- */
+/* SIGINT, SIGTERM and SIGHUP set the flag. A second SIGINT or SIGTERM ends the process. SIGHUP
+ * stays ignored where it is (nohup). Call it before threads start. */
 void signals_catch(void);
 /* Returns whether the flag is set. Any thread. */
 bool signals_stopping(void);
@@ -262,6 +264,10 @@ enum err_code jsonc_nums(const struct json_t *o, const char *key, size_t n, doub
                          struct err *e) ERR_USE;
 enum err_code jsonc_text(const struct json_t *o, const char *key, const char **out,
                          struct err *e) ERR_USE; /* borrowed from o */
+/* Checks that an object has no other keys than these; `known` ends with NULL. ERR_DATA: the message
+ * is "WHAT takes no 'key'; it takes a, b". */
+enum err_code jsonc_known(const struct json_t *o, const char *const *known, const char *what,
+                          struct err *e) ERR_USE;
 /* A number for json_pack's "o". It is null if v is not finite, because JSON has no such number. */
 struct json_t *jsonc_real(double v);
 

@@ -107,6 +107,31 @@ enum err_code jsonc_text(const struct json_t *o, const char *key, const char **o
     return ERR_OK;
 }
 
+enum err_code jsonc_known(const json_t *o, const char *const *known, const char *what,
+                          struct err *e)
+{
+    const char *key;
+    json_t *v;
+    json_object_foreach((json_t *)(uintptr_t)o, key, v)
+    {
+        struct buf list = {0};
+        size_t i = 0;
+        while (known[i] && strcmp(known[i], key) != 0)
+            i++;
+        if (known[i])
+            continue;
+        for (i = 0; known[i]; i++)
+            buf_printf(&list, "%s%s", i ? ", " : "", known[i]);
+        const enum err_code rc = buf_check(&list, e)
+                                     ? ERR_MEM
+                                     : err_set(e, ERR_DATA, "%s takes no '%.40s'; it takes %.*s",
+                                               what, key, (int)list.size, (const char *)list.data);
+        buf_free(&list);
+        return rc;
+    }
+    return ERR_OK;
+}
+
 json_t *jsonc_real(double v)
 {
     return isfinite(v) ? json_real(v) : json_null();

@@ -85,9 +85,8 @@ struct lens {
     uint32_t width_px, height_px;
     double params[12];
 };
-/* COLMAP's names of the models, such as "OPENCV". ERR_FORMAT: there is no such model. */
+/* COLMAP's name of the model, such as "OPENCV". */
 const char *lens_name(enum lens_model model);
-enum err_code lens_from_name(const char *name, enum lens_model *out, struct err *e) ERR_USE;
 size_t lens_param_count(enum lens_model model);
 void lens_focal(const struct lens *l, double *fx, double *fy, double *cx, double *cy);
 /* Returns whether the lens has no distortion, so that straight lines stay straight. A model whose

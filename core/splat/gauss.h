@@ -78,7 +78,8 @@ enum err_code gauss_morton_order_of(const struct gauss_places *p, uint32_t *orde
 /* As gauss_morton_order, along a Hilbert curve through a cube. Files use it: rows that are close in
  * space then lie together, which compresses better. ERR_MEM, ERR_LIMIT. */
 enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
-/* Copies rows, without embeddings, in the order of gauss_hilbert_order. Free *out with gauss_free.
+/* Copies rows, without embeddings, in the order of gauss_hilbert_order, with the origin at 0: far
+ * from it means lose digits. Free *out with gauss_free.
  * ERR_MEM, ERR_LIMIT (2^32 rows). */
 enum err_code gauss_sorted(const struct gauss *g, struct gauss *out, struct err *e) ERR_USE;
 /* Bounding box in ENU metres. Each mean is widened by k_sigma times the largest sigma of its

@@ -44,16 +44,6 @@ const char *lens_name(enum lens_model model)
     return (unsigned)model < LENS_COUNT ? infos[model].name : "unknown";
 }
 
-enum err_code lens_from_name(const char *name, enum lens_model *out, struct err *e)
-{
-    for (int m = 0; m < LENS_COUNT; m++)
-        if (!strcmp(infos[m].name, name)) {
-            *out = (enum lens_model)m;
-            return ERR_OK;
-        }
-    return err_set(e, ERR_FORMAT, "camera model '%.40s' is not one of COLMAP's eleven", name);
-}
-
 size_t lens_param_count(enum lens_model model)
 {
     return (unsigned)model < LENS_COUNT ? infos[model].n_params : 0;

@@ -41,9 +41,7 @@ struct nadir {
     bool seen_read;
     double ceiling_m; /* ENU */
     float *rgb, *depth, *transmittance;
-    size_t pixels;                  /* room in them */
-    bool (*stop)(const void *user); /* NULL: never */
-    const void *stop_user;
+    size_t pixels; /* room in them */
 };
 
 static enum err_code nadir_appearance(struct nadir *n, const char *name, struct err *e)
@@ -135,17 +133,6 @@ const struct store *nadir_store(const struct nadir *n)
 const struct area *nadir_area(const struct nadir *n)
 {
     return &n->area;
-}
-
-void nadir_set_stop(struct nadir *n, bool (*stop)(const void *user), const void *user)
-{
-    n->stop = stop;
-    n->stop_user = user;
-}
-
-static enum err_code nadir_go(const struct nadir *n, struct err *e)
-{
-    return n->stop && n->stop(n->stop_user) ? err_set(e, ERR_CANCEL, "cancelled") : ERR_OK;
 }
 
 static enum err_code nadir_room(struct nadir *n, size_t pixels, struct err *e)
@@ -351,9 +338,7 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
                          struct err *e)
 {
     struct nadir_frame f;
-    enum err_code rc = nadir_go(n, e);
-    if (!rc)
-        rc = nadir_frame(n, p, &f, e);
+    enum err_code rc = nadir_frame(n, p, &f, e);
     if (rc)
         return rc;
     const struct camera cam = nadir_camera(&f, p);
@@ -457,10 +442,8 @@ static enum err_code nadir_aslant(struct nadir *n, const struct nadir_piece *p, 
                                   uint32_t coarse, const float *height_m, struct nadir_aslant *a,
                                   struct err *e)
 {
-    enum err_code rc = nadir_go(n, e);
     *a = (struct nadir_aslant){0};
-    if (!rc)
-        rc = nadir_frame(n, p, &a->f, e);
+    enum err_code rc = nadir_frame(n, p, &a->f, e);
     if (rc)
         return rc;
     a->s = nadir_side(n, &a->f, p, way, coarse);
@@ -565,9 +548,7 @@ enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px,
     const struct pick_options po = {.error_px = 0};
     const struct render_surface_maps maps = {.median_m = median, .front = front};
     *out = (struct nadir_ray){.depth_m = (double)NAN};
-    enum err_code rc = nadir_go(n, e);
-    if (!rc)
-        rc = view_render(n->view, &window, &ro, &po, rgb, NULL, e);
+    enum err_code rc = view_render(n->view, &window, &ro, &po, rgb, NULL, e);
     if (!rc)
         rc = render_surface_run(n->surface, limit_m > 0 ? limit : NULL, &maps, e);
     if (rc)

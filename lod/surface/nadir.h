@@ -46,10 +46,6 @@ void nadir_close(struct nadir **n);
 const struct store *nadir_store(const struct nadir *n);
 const struct area *nadir_area(const struct nadir *n);
 
-/* From now on nadir_draw, nadir_look and all functions that use them first call `stop`, and return
- * ERR_CANCEL if it returns true. NULL: they are never stopped. */
-void nadir_set_stop(struct nadir *n, bool (*stop)(const void *user), const void *user);
-
 /* A piece of ground. Pixel (u, v), with (0, 0) the top left corner, is the vertical line through
  * center + (u - width / 2) (1 / scale_x) right + (v - height / 2) (1 / scale_y) down. */
 struct nadir_piece {

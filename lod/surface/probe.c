@@ -127,10 +127,3 @@ enum err_code probe_many(struct nadir *n, const double (*lonlat)[2], size_t coun
     mem_free(done);
     return rc;
 }
-
-enum err_code probe_at(struct nadir *n, double lon_deg, double lat_deg, double gsd_m,
-                       struct probe *out, struct err *e)
-{
-    const double at[1][2] = {{lon_deg, lat_deg}};
-    return probe_many(n, at, 1, gsd_m, out, e);
-}

@@ -20,13 +20,10 @@ struct probe {
     uint8_t level;
     double pixel_m; /* size of a pixel of the drawing */
 };
-/* Probes one place. gsd_m is the pixel size; 0: about the size of the Gaussians. ERR_ARG: not a
- * place on earth. ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in nadir_draw. */
-enum err_code probe_at(struct nadir *n, double lon_deg, double lat_deg, double gsd_m,
-                       struct probe *out, struct err *e) ERR_USE;
-/* Probes many places, lonlat [count][2]. Places near each other share a picture, which is centred
- * on the first of them; the others get their nearest pixel. ERR_ARG, ERR_CANCEL, ERR_DEVICE,
- * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+/* Probes many places, lonlat [count][2]. gsd_m is the pixel size; 0: about the size of the
+ * Gaussians. Places near each other share a picture, which is centred on the first of them; the
+ * others get their nearest pixel. ERR_ARG: not a place on earth. ERR_CANCEL, ERR_DEVICE,
+ * ERR_FORMAT, ERR_LIMIT, ERR_MEM as in nadir_draw. */
 enum err_code probe_many(struct nadir *n, const double (*lonlat)[2], size_t count, double gsd_m,
                          struct probe *out, struct err *e) ERR_USE;
 

@@ -55,6 +55,7 @@ static enum err_code query_optional(const json_t *o, const char *key, double lo,
 static enum err_code query_read_pose(const json_t *o, const struct geo_origin *origin,
                                      struct query *out, struct err *e)
 {
+    static const char *const known[] = {"lon", "lat", "height", "heading", "pitch", "fov", NULL};
     const json_t *pose = json_object_get(o, "pose");
     struct view_pose p = {.fov_y_deg = 60};
     double width, height;
@@ -77,6 +78,8 @@ static enum err_code query_read_pose(const json_t *o, const struct geo_origin *o
     }
     if (!(p.fov_y_deg >= 1))
         return err_set(e, ERR_DATA, "pose.fov must be 1 to 150 degrees");
+    if (jsonc_known(pose, known, "pose", e))
+        return ERR_DATA;
     return view_camera(origin, &p, (uint32_t)width, (uint32_t)height, &out->cam, e) ? ERR_DATA
                                                                                     : ERR_OK;
 }
@@ -104,6 +107,7 @@ static enum err_code query_read_pick(const json_t *o, const struct geo_origin *o
 static enum err_code query_read_visible(const json_t *o, struct query *out, struct err *e)
 {
     static const char *const ends[2] = {"from", "to"};
+    static const char *const known[] = {"lon", "lat", "height", "above", NULL};
     for (size_t i = 0; i < 2; i++) {
         const json_t *p = json_object_get(o, ends[i]), *h = json_object_get(p, "height"),
                      *above = json_object_get(p, "above");
@@ -111,9 +115,11 @@ static enum err_code query_read_visible(const json_t *o, struct query *out, stru
             !query_number(json_object_get(p, "lat"), -85, 85, &out->place[i][1]) || !h == !above ||
             !query_number(h ? h : above, -2e4, 2e6, &out->height_m[i]))
             return err_set(e, ERR_DATA,
-                           "%s must be {\"lon\", \"lat\", \"height\"} with metres above the "
-                           "ellipsoid, or \"above\" with metres above the surface there",
+                           "%s must be {\"lon\", \"lat\", \"height\"} with metres as the "
+                           "store counts them, or \"above\" with metres above the surface there",
                            ends[i]);
+        if (jsonc_known(p, known, ends[i], e))
+            return ERR_DATA;
         out->above |= (uint32_t)(above != NULL) << i;
     }
     out->n = 2;
@@ -131,7 +137,7 @@ static enum err_code query_read_measure(const json_t *o, struct query *out, stru
     if (base && !(text && !strcmp(text, "rim")) && !query_number(base, -2e4, 2e6, &out->base_m))
         return err_set(e, ERR_DATA,
                        "base must be \"rim\", the plane through the surface along the polygon, or "
-                       "a height above the ellipsoid in metres");
+                       "a height in metres as the store counts them");
     enum err_code rc = polygon ? query_places(polygon, "polygon", 3, out, e)
                                : query_places(json_object_get(o, "line"), "line", 2, out, e);
     /* GeoJSON repeats the first corner. */
@@ -141,6 +147,15 @@ static enum err_code query_read_measure(const json_t *o, struct query *out, stru
     return rc;
 }
 
+/* A key that is misspelt would leave its default in force without a word. */
+static const char *const query_keys[][8] = {
+    [QUERY_HEIGHT] = {"places", "gsd_m"},
+    [QUERY_PICK] = {"camera", "pose", "width", "height", "x", "y", "gsd_m"},
+    [QUERY_PROFILE] = {"line", "gsd_m", "step_m"},
+    [QUERY_MEASURE] = {"line", "polygon", "base", "gsd_m"},
+    [QUERY_VISIBLE] = {"from", "to", "gsd_m"},
+};
+
 enum err_code query_read(enum query_kind kind, const json_t *o, const struct geo_origin *origin,
                          struct query *out, struct err *e)
 {
@@ -148,9 +163,11 @@ enum err_code query_read(enum query_kind kind, const json_t *o, const struct geo
     out->kind = kind;
     if (!json_is_object(o))
         return err_set(e, ERR_DATA, "a JSON object is expected");
-    enum err_code rc = query_optional(o, "gsd_m", 0.001, 1000, &out->gsd_m, e);
+    enum err_code rc = jsonc_known(o, query_keys[kind], "the question", e);
     if (!rc)
-        rc = query_optional(o, "step_m", 0.001, 10000, &out->step_m, e);
+        rc = query_optional(o, "gsd_m", QUERY_LEAST_M, QUERY_GSD_MOST_M, &out->gsd_m, e);
+    if (!rc)
+        rc = query_optional(o, "step_m", QUERY_LEAST_M, QUERY_STEP_MOST_M, &out->step_m, e);
     if (rc)
         return rc;
     switch (kind) {

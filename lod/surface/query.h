@@ -15,6 +15,10 @@ struct json_t;
 
 enum query_kind { QUERY_HEIGHT, QUERY_PICK, QUERY_PROFILE, QUERY_MEASURE, QUERY_VISIBLE };
 enum { QUERY_PLACES_MAX = 256 };
+/* Ranges of gsd_m and step_m, which may also be 0: not given. */
+#define QUERY_LEAST_M 0.001
+#define QUERY_GSD_MOST_M 1000.0
+#define QUERY_STEP_MOST_M 10000.0
 struct query { /* {0}, then query_read; it has no pointers, so its bytes can be a cache key */
     uint32_t kind;
     uint32_t n;                        /* number of places */

@@ -6,6 +6,7 @@
 
 #include <jansson.h>
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "core/geo/geo.h"
@@ -28,23 +29,6 @@ static enum err_code posted_view_read_int(const json_t *o, const char *key, json
     return ERR_OK;
 }
 
-static enum err_code posted_view_check_keys(const json_t *o, const char *const *known,
-                                            const char *where, struct err *e)
-{
-    const char *key;
-    json_t *v;
-    json_object_foreach((json_t *)(uintptr_t)o, key, v)
-    {
-        size_t i = 0;
-        while (known[i] && strcmp(known[i], key) != 0)
-            i++;
-        if (!known[i])
-            return err_set(e, ERR_DATA, "%s has a key it does not know; it takes %s, %s ...", where,
-                           known[0], known[1]);
-    }
-    return ERR_OK;
-}
-
 static enum err_code posted_view_read_pose(const json_t *o, struct view_pose *out, double *roll_deg,
                                            struct err *e)
 {
@@ -56,7 +40,7 @@ static enum err_code posted_view_read_pose(const json_t *o, struct view_pose *ou
     out->fov_y_deg = 60;
     if (!json_is_object(o))
         return err_set(e, ERR_DATA, "pose must be an object with lon, lat, height, heading, pitch");
-    enum err_code rc = posted_view_check_keys(o, keys, "pose", e);
+    enum err_code rc = jsonc_known(o, keys, "pose", e);
     for (int i = 0; i < 7 && !rc; i++) {
         const json_t *v = json_object_get(o, keys[i]);
         if (!v && i >= 5)
@@ -199,7 +183,7 @@ static enum err_code posted_view_read_wish(const struct server_config *cfg,
     if (!rc && !json_is_object(o))
         rc = err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
     if (!rc)
-        rc = posted_view_check_keys(o, stream ? stream_keys : keys, "the body", e);
+        rc = jsonc_known(o, stream ? stream_keys : keys, "the body", e);
     if (!rc && stream)
         rc = posted_view_stream_keys(o, out, e);
     if (!rc)

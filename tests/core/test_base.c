@@ -5,8 +5,10 @@
 #include "tests/kit.h"
 
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <jansson.h>
@@ -617,6 +619,29 @@ static void systems_side_by_side_are_those_alone(void **state)
     }
 }
 
+/* In a child, as the flag stays set: is it set after SIGHUP? */
+static int hung_up(void (*before)(int))
+{
+    int status = -1;
+    const pid_t pid = fork();
+    if (!pid) {
+        signal(SIGHUP, before);
+        signals_catch();
+        raise(SIGHUP); /* by the shell */
+        raise(SIGHUP); /* by the kernel */
+        _exit(signals_stopping());
+    }
+    assert_int_equal(waitpid(pid, &status, 0), pid);
+    assert_true(WIFEXITED(status));
+    return WEXITSTATUS(status);
+}
+
+static void a_closed_terminal_stops_what_nohup_keeps(void **state)
+{
+    assert_int_equal(hung_up(SIG_DFL), 1);
+    assert_int_equal(hung_up(SIG_IGN), 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -643,6 +668,7 @@ int main(void)
         cmocka_unit_test(hilbert_curve_is_one),
         cmocka_unit_test(gauss_alloc_fails_cleanly),
         cmocka_unit_test(log_quote_writes_utf8),
+        cmocka_unit_test(a_closed_terminal_stops_what_nohup_keeps),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -284,10 +284,41 @@ static void nonsense_is_refused(void **state)
     put_file("far.geojson",
              "{\"type\":\"Polygon\",\"coordinates\":[[[8,50],[8.1,50],[8.1,50.1],[8,50]]]}", path);
     kit_ok(clip_open(path, -HUGE_VAL, HUGE_VAL, &c, &e), e);
-    kit_fails(clip_store(&c, f.path, NULL, out, &r, &e), ERR_DATA, e, "the store lies within");
+    kit_fails(clip_store(&c, f.path, NULL, out, &r, &e), ERR_DATA, e,
+              "m above the WGS 84 ellipsoid");
     kit_fails(clip_store(&c, f.path, NULL, f.path, &r, &e), ERR_ARG, e, "onto itself");
     clip_free(&c);
     assert_false(file_exists(out));
+}
+
+/* Who asks for too much height is told where the store lies, as the store counts heights. */
+static void heights_are_those_of_the_store(void **state)
+{
+    struct err e = {0};
+    struct store *all, *sea = NULL;
+    struct clip c;
+    struct clip_report r;
+    char path[FILE_PATH_MAX], out[FILE_PATH_MAX];
+    size_t n;
+    path_of("sea.tiles", path);
+    path_of("none.tiles", out);
+    kit_ok(store_open(f.path, &all, &e), e);
+    struct store_meta meta = *store_info(all);
+    snprintf(meta.heights, sizeof meta.heights, "sea");
+    kit_ok(store_create(path, &meta, &sea, &e), e);
+    const struct store_tile *tiles = store_tiles(all, &n);
+    for (size_t i = 0; i < n; i++) {
+        struct store_entry t = {.tile = {.key = tiles[i].key, .level = tiles[i].level}};
+        struct gauss g;
+        kit_ok(store_read_gauss(all, t.tile.key, &g, &e), e);
+        kit_ok(store_put(sea, &t, &g, &e), e);
+        gauss_free(&g);
+    }
+    kit_ok(store_commit(&sea, &e), e);
+    store_close(&all);
+    kit_ok(clip_open(NULL, 5000, HUGE_VAL, &c, &e), e);
+    kit_fails(clip_store(&c, path, NULL, out, &r, &e), ERR_DATA, e, "m above sea level");
+    clip_free(&c);
 }
 
 /* The command, and export of the part. */
@@ -326,6 +357,7 @@ int main(void)
         cmocka_unit_test(maps_end_at_the_cut),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(features_without_geometry_are_skipped),
+        cmocka_unit_test(heights_are_those_of_the_store),
         cmocka_unit_test(the_program_clips),
     };
     return cmocka_run_group_tests_name("clip", tests, setup, survey_teardown);

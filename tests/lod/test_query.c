@@ -27,6 +27,37 @@ static json_t *ask(enum query_kind kind, const struct geoid *geoid, json_t *ques
     return out;
 }
 
+/* A key that is misspelt would leave its default in force. */
+static void unknown_keys_are_refused(void **state)
+{
+    static const struct {
+        enum query_kind kind;
+        const char *text, *says;
+    } bad[] = {
+        {QUERY_HEIGHT, "{\"places\": [[8, 50]], \"gsd\": 1}",
+         "takes no 'gsd'; it takes places, gsd_m"},
+        {QUERY_PROFILE, "{\"line\": [[8, 50], [8, 51]], \"step\": 1}", "takes no 'step'"},
+        {QUERY_MEASURE, "{\"polygon\": [[8, 50], [8, 51], [9, 50]], \"base_m\": 3}", "'base_m'"},
+        {QUERY_VISIBLE,
+         "{\"from\": {\"lon\": 8, \"lat\": 50, \"above\": 2}, \"to\": {\"lon\": 8, \"lat\": 50, "
+         "\"above\": 9, \"h\": 1}}",
+         "to takes no 'h'"},
+        {QUERY_PICK,
+         "{\"pose\": {\"lon\": 8, \"lat\": 50, \"height\": 9, \"heading\": 0, \"pitch\": 0, "
+         "\"fovy\": 3}, \"width\": 9, \"height\": 9, \"x\": 1, \"y\": 1}",
+         "pose takes no 'fovy'"}};
+    struct query *q = mem_array(1, sizeof *q);
+    assert_non_null(q);
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        struct err e = {0};
+        json_t *o = NULL;
+        kit_ok(jsonc_parse(bad[i].text, strlen(bad[i].text), "question", &o, &e), e);
+        kit_fails(query_read(bad[i].kind, o, &origin, q, &e), ERR_DATA, e, bad[i].says);
+        json_decref(o);
+    }
+    mem_free(q);
+}
+
 static double number(const json_t *o, const char *key)
 {
     const json_t *v = json_object_get(o, key);
@@ -371,30 +402,6 @@ static void far_lines_are_refused(void **state)
     }
 }
 
-static bool stop_at_third(const void *user)
-{
-    size_t *asked = *(size_t *const *)user;
-    return ++*asked == 3;
-}
-
-static void drawing_can_be_stopped(void **state)
-{
-    struct err e = {0};
-    struct probe p[8];
-    double lonlat[8][2], at[3];
-    size_t asked = 0, *user = &asked;
-    for (size_t i = 0; i < 8; i++) {
-        place_of((double)i * 3 - 12, 0, 0, at);
-        memcpy(lonlat[i], at, sizeof lonlat[i]);
-    }
-    nadir_set_stop(f.nadir, stop_at_third, &user);
-    kit_fails(probe_many(f.nadir, (const double(*)[2])lonlat, 8, 0.001, p, &e), ERR_CANCEL, e,
-              "cancelled");
-    assert_int_equal(asked, 3);
-    nadir_set_stop(f.nadir, NULL, NULL);
-    kit_ok(probe_many(f.nadir, (const double(*)[2])lonlat, 8, 0.001, p, &e), e);
-}
-
 /* A geoid of GeographicLib's format that lies 40 m above the ellipsoid everywhere. */
 static void sea_level_is_told(void **state)
 {
@@ -475,7 +482,7 @@ int main(void)
         cmocka_unit_test(noise_does_not_climb),     cmocka_unit_test(volumes_are_the_citys),
         cmocka_unit_test(pixels_show_the_city),     cmocka_unit_test(eyes_see_what_is_not_hidden),
         cmocka_unit_test(polygons_are_checked),     cmocka_unit_test(what_is_drawn_is_limited),
-        cmocka_unit_test(far_lines_are_refused),    cmocka_unit_test(drawing_can_be_stopped),
+        cmocka_unit_test(unknown_keys_are_refused), cmocka_unit_test(far_lines_are_refused),
         cmocka_unit_test(sea_level_is_told),        cmocka_unit_test(the_program_answers),
     };
     return cmocka_run_group_tests_name("query", tests, survey_setup, survey_teardown);
