@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 #include <sys/random.h>
 #include <sys/socket.h>
 #include <time.h>
@@ -22,6 +23,7 @@
 #include "server/mhd_callbacks.h"
 
 enum { HTTP_ADMIN_CONNECTIONS = 32 };
+enum { HTTP_PUBLIC_URL_MAX = 256 };
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
 
 struct http {
@@ -151,6 +153,29 @@ static enum err_code http_check_base(const char *base, size_t *n, struct err *e)
                         base);
 }
 
+/* "https://maps.example.org/splats": links begin with it. */
+static enum err_code http_check_public_url(const char *url, struct err *e)
+{
+    static const char plain[] =
+        "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-._~";
+    if (!url || !*url)
+        return ERR_OK;
+    const size_t scheme = !strncasecmp(url, "http://", 7)    ? 7
+                          : !strncasecmp(url, "https://", 8) ? 8
+                                                             : 0;
+    const char *host = url + scheme, *rest = host + strcspn(host, "/");
+    bool ok = scheme && rest > host && strlen(url) < HTTP_PUBLIC_URL_MAX;
+    for (const char *p = host; ok && p < rest; p++)
+        ok = strchr(plain, *p) || strchr("[:]", *p);
+    for (const char *p = rest; ok && *p; p++)
+        ok = strchr(plain, *p) || strchr("/%!$&'()*+,;=:@", *p);
+    return ok ? ERR_OK
+              : err_set(e, ERR_ARG,
+                        "--public-url %.80s: the address that clients see, as "
+                        "https://maps.example.org or http://10.0.0.5:8080/splats",
+                        url);
+}
+
 enum err_code http_check(const struct server_config *cfg, struct err *e)
 {
     struct address_nets nets;
@@ -158,6 +183,12 @@ enum err_code http_check(const struct server_config *cfg, struct err *e)
     enum err_code rc = address_read_nets(cfg->trusted_proxy, &nets, e);
     if (!rc)
         rc = http_check_base(cfg->base_path, &n, e);
+    if (!rc)
+        rc = http_check_public_url(cfg->public_url, e);
+    if (!rc)
+        rc = listen_check(cfg->address, e);
+    if (!rc && cfg->admin)
+        rc = listen_check_at(cfg->admin, "--admin", e);
     return rc;
 }
 
@@ -178,6 +209,8 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
         rc = err_errno(e, ERR_IO, "the system has no random numbers");
     if (!rc)
         rc = http_check_base(h->front.self ? NULL : s->cfg->base_path, &h->front.n_base, e);
+    if (!rc)
+        rc = http_check_public_url(s->cfg->public_url, e);
     if (!rc)
         rc = ipv6_groups_open(h->front.secret, &h->front.ipv6_groups, e);
     if (!rc)

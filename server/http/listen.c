@@ -15,6 +15,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+enum { LISTEN_ADDRESS_MAX = 64 };
+
 static enum err_code listen_failed(const char *address, int port, const char *option, struct err *e)
 {
     if (errno == EADDRINUSE)
@@ -43,23 +45,41 @@ static uint16_t listen_port(const struct sockaddr_storage *bound)
                : 0;
 }
 
+/* Free *out with freeaddrinfo. */
+static enum err_code listen_find(const char *address, int port, const char *option,
+                                 struct addrinfo **out, struct err *e)
+{
+    char service[8];
+    const struct addrinfo hints = {.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE,
+                                   .ai_socktype = SOCK_STREAM};
+    snprintf(service, sizeof service, "%d", port);
+    if (!address || getaddrinfo(address, service, &hints, out) != 0)
+        return err_set(e, ERR_ARG, "%s %s: not an IP address (127.0.0.1, 0.0.0.0, ::1, ::)",
+                       strcmp(option, LISTEN_PORT) ? option : "--address",
+                       address ? address : "\"\"");
+    return ERR_OK;
+}
+
+enum err_code listen_check(const char *address, struct err *e)
+{
+    struct addrinfo *a = NULL;
+    enum err_code rc = listen_find(address, 0, LISTEN_PORT, &a, e);
+    if (!rc)
+        freeaddrinfo(a);
+    return rc;
+}
+
 enum err_code listen_open(const char *address, int port, const char *option, int *fd,
                           uint16_t *taken, struct err *e)
 {
-    char service[8];
-    struct addrinfo hints = {.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE,
-                             .ai_socktype = SOCK_STREAM};
     struct addrinfo *a = NULL;
     struct sockaddr_storage bound;
     socklen_t n = sizeof bound;
     const int yes = 1;
     *fd = -1;
-    snprintf(service, sizeof service, "%d", port);
-    if (!address || getaddrinfo(address, service, &hints, &a) != 0)
-        return err_set(e, ERR_ARG, "%s %s: not an IP address (127.0.0.1, 0.0.0.0, ::1, ::)",
-                       strcmp(option, LISTEN_PORT) ? option : "--address",
-                       address ? address : "\"\"");
-    enum err_code rc = ERR_OK;
+    enum err_code rc = listen_find(address, port, option, &a, e);
+    if (rc)
+        return rc;
     *fd = socket(a->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     if (*fd < 0 || setsockopt(*fd, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes) != 0 ||
         bind(*fd, a->ai_addr, a->ai_addrlen) != 0 || listen(*fd, 1024) != 0 ||
@@ -73,25 +93,48 @@ enum err_code listen_open(const char *address, int port, const char *option, int
     return rc;
 }
 
-enum err_code listen_open_at(const char *text, const char *option, int *fd, uint16_t *taken,
-                             struct err *e)
+/* "[::1]:8078" to an address [LISTEN_ADDRESS_MAX] and a port. */
+static enum err_code listen_read_at(const char *text, const char *option, char *address, int *port,
+                                    struct err *e)
 {
-    char address[64];
     const char *colon = strrchr(text, ':'), *from = text;
     size_t n = colon ? (size_t)(colon - text) : 0;
     if (n >= 2 && text[0] == '[' && text[n - 1] == ']') {
         from++;
         n -= 2;
     }
-    *fd = -1;
-    if (!n || n >= sizeof address || !colon[1] || colon[1 + strspn(colon + 1, "0123456789")] ||
+    if (!n || n >= LISTEN_ADDRESS_MAX || !colon[1] || colon[1 + strspn(colon + 1, "0123456789")] ||
         strlen(colon + 1) > 5 || atoi(colon + 1) > 65535)
         return err_set(e, ERR_ARG,
                        "%s %.80s: an address and a port, as 127.0.0.1:8078 or [::1]:8078", option,
                        text);
     memcpy(address, from, n);
     address[n] = '\0';
-    return listen_open(address, atoi(colon + 1), option, fd, taken, e);
+    *port = atoi(colon + 1);
+    return ERR_OK;
+}
+
+enum err_code listen_check_at(const char *text, const char *option, struct err *e)
+{
+    char address[LISTEN_ADDRESS_MAX];
+    struct addrinfo *a = NULL;
+    int port = 0;
+    enum err_code rc = listen_read_at(text, option, address, &port, e);
+    if (!rc)
+        rc = listen_find(address, port, option, &a, e);
+    if (!rc)
+        freeaddrinfo(a);
+    return rc;
+}
+
+enum err_code listen_open_at(const char *text, const char *option, int *fd, uint16_t *taken,
+                             struct err *e)
+{
+    char address[LISTEN_ADDRESS_MAX];
+    int port = 0;
+    *fd = -1;
+    enum err_code rc = listen_read_at(text, option, address, &port, e);
+    return rc ? rc : listen_open(address, port, option, fd, taken, e);
 }
 
 enum err_code listen_take(int fd, uint16_t *port, struct err *e)

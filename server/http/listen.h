@@ -16,6 +16,9 @@ enum err_code listen_open(const char *address, int port, const char *option, int
 /* As listen_open, for "ADDR:PORT" or "[::1]:8078". */
 enum err_code listen_open_at(const char *text, const char *option, int *fd, uint16_t *taken,
                              struct err *e) ERR_USE;
+/* Check what the two above are given, and open nothing. ERR_ARG. */
+enum err_code listen_check(const char *address, struct err *e) ERR_USE;
+enum err_code listen_check_at(const char *text, const char *option, struct err *e) ERR_USE;
 /* Takes over a socket on which a supervisor listens. ERR_ARG: it does not accept connections. */
 enum err_code listen_take(int fd, uint16_t *port, struct err *e) ERR_USE;
 
