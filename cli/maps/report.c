@@ -7,15 +7,18 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <dirent.h>
 #include <jansson.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
 #include "cli/base/cli.h"
 #include "cli/base/output.h"
+#include "cli/base/results.h"
 #include "cli/maps/report_map.h"
 #include "codec/scene/scene.h"
 #include "scene/cells/footprint.h"
@@ -56,8 +59,7 @@ struct report {
     struct scene scene;
     struct footprint footprint;
     struct report_ground ground;
-    json_t *told;    /* report.json of ingest; NULL: none */
-    json_t *trained; /* done.json of the one cell; NULL: none */
+    json_t *told; /* report.json of ingest; NULL: none */
     struct buf out;
 };
 
@@ -244,6 +246,8 @@ static enum err_code report_pictures(struct report *r, struct err *e)
     if (!r->o->tiles)
         return ERR_OK;
     enum err_code rc = nadir_open(r->o->tiles, &no, &n, e);
+    if (!rc)
+        rc = results_check_store(&r->scene, r->o->tiles, nadir_area(n), e);
     buf_printf(&r->out, "<section><h2>Orthophoto and surface model</h2><div class=\"pictures\">\n");
     if (!rc)
         rc = report_picture(r, n, GEOTIFF_COLOR, e);
@@ -451,22 +455,56 @@ static void report_dropped(struct report *r)
                    shown > REPORT_DROPPED_MAX ? "<p>More are in report.json.</p>" : "");
 }
 
-static void report_training(struct report *r)
+/* Rows of a cell that was trained. Scores of too few photographs, or of none, are a dash. */
+static void report_cell(struct report *r, const char *id, const json_t *done, bool *any)
 {
-    const json_t *levels = report_get(r->trained, "levels", NULL);
-    if (!json_array_size(levels))
-        return;
-    buf_printf(&r->out, "<section><h2>What was trained</h2><table><tr><th>level of detail</th><th>"
-                        "Gaussians</th><th>PSNR</th><th>SSIM</th></tr>\n");
-    for (size_t i = 0; i < json_array_size(levels); i++) {
+    const json_t *levels = report_get(done, "levels", NULL);
+    const size_t n = json_array_size(levels);
+    if (n && !*any)
+        buf_printf(&r->out, "<section><h2>What was trained</h2><table class=\"wide\"><tr><th>cell"
+                            "</th><th>level of detail</th><th>Gaussians</th><th>PSNR</th>"
+                            "<th>SSIM</th></tr>\n");
+    *any |= n > 0;
+    for (size_t i = 0; i < n; i++) {
         const json_t *l = json_array_get(levels, i);
-        buf_printf(&r->out,
-                   "<tr><td>%zu of %zu</td><td>%.0f</td><td>%.2f dB</td><td>%.4f</td></tr>\n",
-                   i + 1, json_array_size(levels), report_num(l, "gaussians", NULL),
-                   report_num(l, "psnr_db", NULL), report_num(l, "ssim", NULL));
+        const double psnr_db = report_num(l, "psnr_db", NULL);
+        buf_printf(&r->out, "<tr><td>");
+        buf_markup(&r->out, id);
+        buf_printf(&r->out, "</td><td>%zu of %zu</td><td>%.0f</td>", i + 1, n,
+                   report_num(l, "gaussians", NULL));
+        if (isfinite(psnr_db))
+            buf_printf(&r->out, "<td>%.2f dB</td><td>%.4f</td></tr>\n", psnr_db,
+                       report_num(l, "ssim", NULL));
+        else
+            buf_printf(&r->out, "<td>–</td><td>–</td></tr>\n");
     }
-    buf_printf(&r->out,
-               "</table><p>Against photographs that training did not see.</p></section>\n");
+}
+
+/* Of all cells that are complete: `all` without a plan. */
+static enum err_code report_training(struct report *r, struct err *e)
+{
+    struct dirent **list = NULL;
+    char cells[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    bool any = false;
+    enum err_code rc = file_join(cells, r->dir, "cells", e);
+    const int n = rc ? -1 : scandir(cells, &list, NULL, alphasort);
+    for (int i = 0; i < n; i++) {
+        json_t *done = NULL;
+        const char *id = list[i]->d_name;
+        if (!rc && id[0] != '.' &&
+            snprintf(path, sizeof path, "%s/%s/done.json", cells, id) < (int)sizeof path &&
+            file_exists(path))
+            rc = jsonc_read(path, &done, e);
+        if (!rc)
+            report_cell(r, id, done, &any);
+        json_decref(done);
+        free(list[i]); /* scandir's own */
+    }
+    free(list);
+    if (any)
+        buf_printf(&r->out,
+                   "</table><p>Against photographs that training did not see.</p></section>\n");
+    return rc;
 }
 
 /* ---- all of it ---- */
@@ -486,8 +524,6 @@ static enum err_code report_open(struct report *r, struct err *e)
     if (!rc)
         rc = report_read(r, "report.json", &r->told, e);
     if (!rc)
-        rc = report_read(r, "cells/all/done.json", &r->trained, e);
-    if (!rc)
         rc = footprint_of(&r->scene, &r->footprint, e);
     if (!rc && r->footprint.nx)
         rc = report_ground_of(&r->scene, &r->footprint, &r->ground, e);
@@ -504,7 +540,8 @@ static enum err_code report_write(struct report *r, struct err *e)
     if (!rc)
         rc = report_positions(r, e);
     report_errors(r);
-    report_training(r);
+    if (!rc)
+        rc = report_training(r, e);
     report_dropped(r);
     buf_printf(&r->out, "</body></html>\n");
     if (!rc)
@@ -526,6 +563,8 @@ enum err_code cli_report(int argc, char **argv, struct err *e)
     bool run = !rc && !args.done;
     if (run)
         rc = output_needed(o.output, o.overwrite, e);
+    if (run && !rc)
+        rc = output_apart(o.output, o.tiles, e);
     if (run && !rc) {
         signals_catch();
         r.dir = args.arg[0];
@@ -537,7 +576,6 @@ enum err_code cli_report(int argc, char **argv, struct err *e)
     report_ground_free(&r.ground);
     footprint_free(&r.footprint);
     json_decref(r.told);
-    json_decref(r.trained);
     scene_free(&r.scene);
     arena_free(&arena);
     return rc;

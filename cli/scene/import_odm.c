@@ -97,7 +97,7 @@ static enum err_code import_odm_write(const struct odm_project *p, const char *d
     return rc ? rc : import_odm_record(p, dir, e);
 }
 
-static void import_odm_tell(const struct odm_project *p, const char *project, const char *model)
+static void import_odm_tell(const struct odm_project *p, const char *model)
 {
     const struct colmap_model *m = &p->model;
     printf("%s: %zu photographs, %zu cameras, %zu points, %zu observations\n", p->from, m->n_images,
@@ -119,7 +119,7 @@ static void import_odm_tell(const struct odm_project *p, const char *project, co
     else
         log_warn("import-odm", "the project does not say where on Earth it lies: ingest uses the "
                                "photographs' GPS, or --gcp");
-    printf("next: citysplat ingest %s/images %s%s%s%s -o scene\n", project, model,
+    printf("next: citysplat ingest %s/images %s%s%s%s -o scene\n", p->project, model,
            p->n_places ? " --positions " : "", p->n_places ? model : "",
            p->n_places ? "/positions.tsv" : "");
 }
@@ -137,7 +137,7 @@ static enum err_code import_odm_run(const char *project, const struct import_odm
     if (!rc)
         rc = outdir_commit(&dir, e);
     if (!rc)
-        import_odm_tell(&p, project, o->output);
+        import_odm_tell(&p, o->output);
     outdir_abort(&dir);
     odm_free(&p);
     return rc;

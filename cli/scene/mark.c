@@ -8,6 +8,7 @@
 #include <time.h>
 
 #include "cli/base/cli.h"
+#include "cli/base/output.h"
 #include "cli/scene/control.h"
 #include "cli/scene/mark_work.h"
 #include "codec/scene/scene.h"
@@ -201,7 +202,9 @@ enum err_code cli_mark(int argc, char **argv, struct err *e)
     w.images_dir = from.photographs;
     w.output = o.output;
     signals_catch();
-    rc = mark_check_page(e);
+    rc = output_check(o.output, true, e); /* what is there is gone on with */
+    if (!rc)
+        rc = mark_check_page(e);
     if (!rc)
         rc = mark_read_list(&o, &from, &list, e);
     if (!rc)

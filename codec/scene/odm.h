@@ -27,9 +27,10 @@ struct odm_project { /* {0} is empty; odm_free */
     struct odm_place *places; /* [model.n_images]; lives in the model's arena */
     size_t n_places;
     enum odm_links links;
-    size_t n_others;          /* photographs of further, smaller reconstructions, left out */
-    size_t n_alone;           /* points that less than two photographs see, left out */
-    char from[FILE_PATH_MAX]; /* the file with the poses */
+    size_t n_others;             /* photographs of further, smaller reconstructions, left out */
+    size_t n_alone;              /* points that less than two photographs see, left out */
+    char from[FILE_PATH_MAX];    /* the file with the poses */
+    char project[FILE_PATH_MAX]; /* the folder in which OpenDroneMap has images/ */
 };
 
 /* Reads a project. path: OpenDroneMap's folder, OpenSfM's folder inside it, or a file

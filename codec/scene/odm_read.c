@@ -235,7 +235,7 @@ static enum err_code odm_files_beside(struct odm_files *f, struct err *e)
     odm_find(folder, "tracks.csv", f->tracks);
     odm_find(folder, "reference_lla.json", f->reference);
     if (odm_ends(folder, "opensfm") || odm_ends(folder, "odm_report")) {
-        rc = file_join(f->project, folder, "..", e);
+        rc = odm_folder_of(folder, f->project, e);
         if (rc)
             return rc;
     } else {
@@ -328,9 +328,9 @@ enum err_code odm_read(const char *path, struct odm_project *out, struct err *e)
     if (!rc)
         rc = f->is_shots ? odm_shots_read(f->poses, f->project, out, e)
                          : odm_reconstruction(f, out, e);
-    if (!rc)
-        memcpy(out->from, f->poses, sizeof out->from);
-    else
+    memcpy(out->from, f->poses, sizeof out->from);
+    memcpy(out->project, f->project, sizeof out->project);
+    if (rc)
         odm_free(out);
     mem_free(f);
     return rc;

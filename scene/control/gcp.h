@@ -14,6 +14,9 @@
 
 enum { GCP_NAME_MAX = 64, GCP_IMAGE_MAX = 256, GCP_MAX = 10000, GCP_LONLAT = 4326 };
 
+/* Begins a comment in a list: names of its check points, separated by commas. */
+#define GCP_CHECKS "# check points:"
+
 struct gcp {
     char name[GCP_NAME_MAX];
     double at[3];   /* as in the file; after unprojecting longitude, latitude, height */

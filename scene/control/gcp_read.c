@@ -474,16 +474,32 @@ static bool gcp_is_comment(const char *line, bool bare)
     return t.column[GCP_NAME] != 0 || (lacks <= GCP_Z && !gcp_has_marks_alone(&t));
 }
 
+/* Points that the list itself names as check points; it may name some that are not marked. */
+static void gcp_take_checks(const char *names, struct gcp_list *l)
+{
+    for (const char *p = names; *p;) {
+        p += strspn(p, ", \t");
+        const size_t n = strcspn(p, ",");
+        for (size_t i = 0; i < l->n; i++)
+            l->gcps[i].check |= strlen(l->gcps[i].name) == n && !strncmp(l->gcps[i].name, p, n);
+        p += n;
+    }
+}
+
 static enum err_code gcp_read_table(const char *path, bool bare, bool known, struct gcp_list *l,
                                     struct err *e)
 {
     struct table lines;
     struct gcp_table t = {.path = path, .bare = bare, .known = known};
-    char line[TABLE_LINE_MAX];
+    char line[TABLE_LINE_MAX], checks[TABLE_LINE_MAX] = "";
     bool head = true, more = true;
     enum err_code rc = table_open(path, &lines, e);
     while (!rc && !(rc = table_next(&lines, line, &more, e)) && more) {
         bool mark = true;
+        if (!strncmp(line, GCP_CHECKS, sizeof GCP_CHECKS - 1)) {
+            snprintf(checks, sizeof checks, "%s", line + sizeof GCP_CHECKS - 1);
+            continue;
+        }
         if (head ? gcp_is_comment(line, bare) : *line == '#') {
             if (head)
                 gcp_take_epsg(line + 1 + strspn(line + 1, " \t"), l);
@@ -497,6 +513,7 @@ static enum err_code gcp_read_table(const char *path, bool bare, bool known, str
             rc = gcp_row(&lines, &t, line, l, e);
     }
     table_close(&lines);
+    gcp_take_checks(checks, l);
     return rc;
 }
 

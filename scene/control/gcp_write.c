@@ -192,9 +192,21 @@ static enum err_code gcp_check_name(enum gcp_form form, const char *what, const 
                    name, has[form]);
 }
 
+/* A comment that gcp_read.h understands: no column of these forms holds it. */
+static void gcp_put_checks(const struct gcp_list *l, struct buf *b)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < l->n; i++)
+        if (l->gcps[i].check)
+            buf_printf(b, "%s%s", n++ ? "," : GCP_CHECKS " ", l->gcps[i].name);
+    if (n)
+        buf_u8(b, '\n');
+}
+
 static void gcp_put_lines(const struct gcp_list *l, enum gcp_form form, struct buf *out)
 {
     gcp_put_head(l, form, out);
+    gcp_put_checks(l, out);
     for (size_t i = 0; i < l->n; i++) {
         const struct gcp *g = &l->gcps[i];
         size_t marks = 0;

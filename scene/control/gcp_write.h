@@ -19,8 +19,9 @@ enum gcp_form gcp_form_of(const char *path);
  * no quotation mark, no control character. XML forbids only control characters. */
 bool gcp_name_fits(enum gcp_form form, const char *name);
 /* Appends the list, with coordinates as in its file. Points keep their order, and so do the marks
- * of each. Points without marks become comments, except in XML. Numbers have as many digits as they
- * need. ERR_DATA: a name does not fit, or the coordinate system is not known. ERR_MEM. */
+ * of each. Points without marks become comments, except in XML. Check points are named in a
+ * comment, GCP_CHECKS. Numbers have as many digits as they need. ERR_DATA: a name does not fit, or
+ * the coordinate system is not known. ERR_MEM. */
 enum err_code gcp_write(const struct gcp_list *l, enum gcp_form form, struct buf *out,
                         struct err *e) ERR_USE;
 

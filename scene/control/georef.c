@@ -241,7 +241,7 @@ static size_t georef_count_within(const struct work *w, const struct sim3_fit *f
     return n;
 }
 
-/* As truncated_cost and count_within, horizontally. */
+/* Sum of squared horizontal residuals, each cut at cap, and how many are within it. */
 static double georef_plan_cost(const struct work *w, const struct sim3 *s, double cap,
                                size_t *within)
 {

@@ -102,6 +102,7 @@ static void lists_are_read_as_they_were_written(void **state)
             "alone,1,2,3,,,,,,\nlast,1e3,2,0.3333333333333333,0,0,c.jpg,,,\n",
             path);
         kit_ok(gcp_read_points(path, &a, &e), e);
+        kit_ok(gcp_keep_out(&a, "alone,last", &e), e);
         write_list(&a, (enum gcp_form)form, "again", path);
         kit_ok(gcp_read(path, &b, &e), e); /* as ingest reads it */
         assert_true(b.epsg == 25832 && b.heights_epsg == 7837 && b.n == 2 && b.n_marks == 3);
@@ -112,6 +113,7 @@ static void lists_are_read_as_they_were_written(void **state)
             assert_true(a.marks[k].x_px == b.marks[k].x_px && a.marks[k].y_px == b.marks[k].y_px);
             assert_true(form == GCP_FORM_ODM || a.marks[k].sigma_px == b.marks[k].sigma_px);
         }
+        assert_true(!b.gcps[0].check && b.gcps[1].check);
         assert_true(b.gcps[0].sigma_m[1] == (form == GCP_FORM_ODM ? 0 : 0.02));
         snprintf(a.gcps[1].name, sizeof a.gcps[1].name, "by the%s church",
                  form == GCP_FORM_ODM ? "" : ",");
