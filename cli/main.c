@@ -16,6 +16,7 @@
 
 #include "cli/base/cli.h"
 #include "cli/base/outcome.h"
+#include "cli/base/output.h"
 #include "core/options/options_completion.h"
 #include "core/options/options_help.h"
 #include "server/drawing/draw.h"
@@ -66,10 +67,13 @@ static void print_help(FILE *f)
         fprintf(f, "  %.*s\n", (int)strcspn(p, "\n"), p);
 }
 
-static int run(const struct command *c, int argc, char **argv)
+/* last: nothing is printed after it. */
+static int run(const struct command *c, int argc, char **argv, bool last)
 {
     struct err e = {0};
-    const enum err_code rc = c->run(argc, argv, &e);
+    enum err_code rc = c->run(argc, argv, &e);
+    if (!rc && last)
+        rc = output_flush(&e);
     return outcome_tell(c->name, rc, &e, argc, argv);
 }
 
@@ -82,7 +86,7 @@ static int help_of(const struct command *c, const char *form)
     snprintf(name, sizeof name, "%s", c->name);
     snprintf(flag, sizeof flag, "%s", form);
     char *argv[] = {name, flag, NULL};
-    return run(c, 2, argv);
+    return run(c, 2, argv, false);
 }
 
 static int print_markdown(void)
@@ -190,6 +194,16 @@ static int completion(const char *shell)
     return rc;
 }
 
+/* Of what was printed without a command: `code`, or 1 if stdout could not be written. */
+static int printed(int code)
+{
+    struct err e = {0};
+    if (code || !output_flush(&e))
+        return code;
+    fprintf(stderr, "citysplat: error: %s\n", e.msg);
+    return 1;
+}
+
 int main(int argc, char **argv)
 {
     setlocale(LC_ALL, "C"); /* numbers are written with a point, whatever the user's language */
@@ -198,12 +212,12 @@ int main(int argc, char **argv)
     const char *name = argc > 1 ? argv[1] : "help";
     if (!strcmp(name, "--version") || !strcmp(name, "-V")) {
         puts("citysplat " CITYSPLAT_VERSION);
-        return 0;
+        return printed(0);
     }
     if (!strcmp(name, "help") || !strcmp(name, "--help") || !strcmp(name, "-h"))
-        return help(argc - 1, argv + 1);
+        return printed(help(argc - 1, argv + 1));
     if (!strcmp(name, "completion"))
-        return completion(argc > 2 ? argv[2] : NULL);
+        return printed(completion(argc > 2 ? argv[2] : NULL));
     const struct command *c = command_find(name);
-    return c ? run(c, argc - 1, argv + 1) : no_command(name);
+    return c ? run(c, argc - 1, argv + 1, true) : no_command(name);
 }

@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "cli/base/output.h"
 #include "lab/lab.h"
 #include "server/drawing/draw.h"
 
@@ -47,13 +48,21 @@ static int help(FILE *f)
         fprintf(f, "  %-17s %s\n", commands[i].name, commands[i].about);
     }
     fprintf(f, "\n`citysplat-lab COMMAND --help=all` shows its options.\n");
-    return f == stdout ? 0 : 2;
+    if (f != stdout)
+        return 2;
+    struct err e = {0};
+    if (!output_flush(&e))
+        return 0;
+    fprintf(stderr, "citysplat-lab: error: %s\n", e.msg);
+    return 1;
 }
 
 static int run(const struct command *c, int argc, char **argv)
 {
     struct err e = {0};
     enum err_code rc = c->run(argc, argv, &e);
+    if (!rc)
+        rc = output_flush(&e);
     if (rc)
         fprintf(stderr, "citysplat-lab %s: error: %s\n", c->name, e.msg[0] ? e.msg : err_text(rc));
     return !rc ? 0 : rc == ERR_ARG ? 2 : 1;

@@ -48,10 +48,10 @@ while IFS='	' read -r file line target; do
 done <"$work/links"
 awk -F'\t' 'NR == FNR { there[$0]; next } !($2 in there) { print $1 ": no such heading"; bad = 1 } END { exit bad }' \
     "$work/anchors" "$work/wanted" || failed=1
-# Sources by their path. codec/splat/xyz is the example of docs/architecture.md.
-grep -v '^CHANGELOG.md$' "$work/files" | xargs grep -noHE \
-    '(core|codec|render|lod|scene|train|survey|server|cli|lab|tests|configs)/[a-z0-9_/]+\.(c|h|cl|cc|def|sh|jsonc)\b' |
-    grep -vE ':(codec/splat/xyz\.[ch]|scene/.*\.jsonc?)$' >"$work/sources"
+# Sources by their path, also in the scripts of pages. codec/splat/xyz is the example of docs/architecture.md.
+{ grep -v '^CHANGELOG.md$' "$work/files"; ls tests/web/*.mjs lab/web/*.mjs; } | xargs grep -noHE \
+    '(core|codec|render|lod|scene|train|survey|server|cli|lab|tests|configs|web)/[a-z0-9_./]*[a-z0-9_]\.(c|h|cl|cc|def|sh|jsonc|mjs|ts|tsx|html|css|txt|md)\b' |
+    grep -vE ':(codec/splat/xyz\.[ch]|scene/.*\.jsonc?|web/dist/.*)$' >"$work/sources"
 while IFS=: read -r file line path; do
     [ -e "$path" ] || { echo "$file:$line: there is no $path"; failed=1; }
 done <"$work/sources"

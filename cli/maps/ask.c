@@ -28,6 +28,15 @@ static enum err_code ask_place(const char *text, double out[2], struct err *e)
     return ERR_OK;
 }
 
+/* The options' table has the most, and 0 for a default. */
+static enum err_code ask_length(const char *option, double m, struct err *e)
+{
+    return m == 0.0 || m >= QUERY_LEAST_M
+               ? ERR_OK
+               : err_set(e, ERR_ARG, "%s: %g: 0, or at least %g m is expected", option, m,
+                         QUERY_LEAST_M);
+}
+
 enum err_code ask_print(const struct options_args *args, const struct ask_options *o,
                         struct query *q, struct err *e)
 {
@@ -35,7 +44,9 @@ enum err_code ask_print(const struct options_args *args, const struct ask_option
     struct geoid *geoid = NULL;
     struct nadir *n = NULL;
     json_t *answer = NULL;
-    enum err_code rc = ERR_OK;
+    enum err_code rc = ask_length("--gsd-m", q->gsd_m, e);
+    if (!rc)
+        rc = ask_length("--step-m", q->step_m, e);
     for (size_t i = 1; !rc && i < args->n; i++) /* before the store is opened */
         rc = ask_place(args->arg[i], q->place[q->n++], e);
     if (!rc)

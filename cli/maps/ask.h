@@ -8,7 +8,7 @@
 #include "core/options/options.h"
 #include "lod/surface/query.h"
 
-enum { ASK_PLACES_MAX = 15 };
+enum { ASK_PLACES_MAX = 15 }; /* the usage of these commands names it */
 struct ask_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/maps/ask.def"

@@ -43,7 +43,7 @@ static const struct options_spec contour_spec = {
         "file is GeoJSON in longitude and latitude (.geojson) or a GeoPackage in the projection "
         "(.gpkg). Memory does not grow with the city.",
     .example = "citysplat contour city.tiles -o lines.gpkg --interval-m 0.5 --least-m 5\n"
-               "citysplat contour city.tiles -o lines.geojson --geoid egm2008-1",
+               "citysplat contour city.tiles -o lines.geojson --geoid egm96",
     .defs = contour_defs,
     .n_defs = sizeof contour_defs / sizeof *contour_defs,
     .min_args = 1,

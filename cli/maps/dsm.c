@@ -48,13 +48,13 @@ static const struct options_spec dsm_spec = {
     .command = "dsm",
     .usage = "citysplat dsm CITY.tiles|SCENE -o FILE.tif [options]",
     .about = "Writes heights of the surface of a tile store, seen from straight above, as a "
-             "Cloud Optimized GeoTIFF. Heights are float32 metres above the WGS 84 ellipsoid, "
+             "Cloud Optimized GeoTIFF. Heights are float32 metres as the store counts them, "
              "or above sea level with --geoid. Where there is no surface they are -9999. With "
              "--ground the heights are those of bare earth. Memory does not grow with the city, "
              "but with --ground by 13 bytes for every square metre. Of a scene's folder it writes "
              "the heights that `citysplat stereo` knows, without training.",
     .example = "citysplat dsm city.tiles -o dsm.tif --gsd-m 0.25\n"
-               "citysplat dsm city.tiles -o dsm.tif --geoid egm2008-1\n"
+               "citysplat dsm city.tiles -o dsm.tif --geoid egm96\n"
                "citysplat dsm city.tiles -o dtm.tif --ground\n"
                "citysplat dsm scene -o quick.tif",
     .defs = dsm_defs,

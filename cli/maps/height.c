@@ -28,10 +28,10 @@ static const struct options_def height_defs[] = {
 
 static const struct options_spec height_spec = {
     .command = "height",
-    .usage = "citysplat height CITY.tiles LON,LAT [LON,LAT ...] [options]",
+    .usage = "citysplat height CITY.tiles LON,LAT [LON,LAT ..., at most 15] [options]",
     .about = "Prints the height of the surface of a tile store at places, seen from straight "
-             "above, as one JSON object. Heights are in metres above the WGS 84 ellipsoid, and "
-             "null where there is no surface.",
+             "above, as one JSON object. Heights are in metres as the store counts them, which "
+             "vertical_datum names, and null where there is no surface.",
     .example = "citysplat height city.tiles 8.6821,50.1109 8.6830,50.1112",
     .defs = height_defs,
     .n_defs = sizeof height_defs / sizeof *height_defs,

@@ -70,6 +70,8 @@ enum err_code maps_open(const char *store, const struct maps_options *o, const c
     *out = (struct maps){0};
     signals_catch();
     enum err_code rc = maps_check_output(o->output, ends, o->overwrite, e);
+    if (!rc)
+        rc = output_apart(o->output, store, e);
     if (!rc && o->bbox)
         rc = maps_bbox(o->bbox, out->bbox, e);
     if (!rc)

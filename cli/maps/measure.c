@@ -33,7 +33,7 @@ static const struct options_def measure_defs[] = {
 
 static const struct options_spec measure_spec = {
     .command = "measure",
-    .usage = "citysplat measure CITY.tiles [LON,LAT LON,LAT ...] [options]",
+    .usage = "citysplat measure CITY.tiles [LON,LAT LON,LAT ..., at most 15] [options]",
     .about = "Measures on the surface of a tile store. For two or more places it prints lengths "
              "in plan and in space. With --polygon it prints the area in plan and of the "
              "surface, and the volume above and below a base.",

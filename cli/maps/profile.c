@@ -28,7 +28,7 @@ static const struct options_def profile_defs[] = {
 
 static const struct options_spec profile_spec = {
     .command = "profile",
-    .usage = "citysplat profile CITY.tiles LON,LAT LON,LAT [LON,LAT ...] [options]",
+    .usage = "citysplat profile CITY.tiles LON,LAT LON,LAT [LON,LAT ..., at most 15] [options]",
     .about = "Samples the surface of a tile store along a line of places. Prints one JSON "
              "object: distance, place and height of every sample, lengths in plan and along the "
              "surface, climb and fall.",

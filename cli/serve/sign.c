@@ -31,10 +31,12 @@ static const struct options_spec sign_spec = {
     .about = "Prints signed addresses for a server that was started with --auth. Of a dataset's "
              "NAME it prints an address that stands for the server's own: below it lie the viewer "
              "and every path of the dataset. Of a PATH, a tile or a picture, it prints the address "
-             "that opens this path with this query alone. An address opens what it says until its "
-             "time is over.",
+             "that opens this path with this query alone. Such a path has the revision, as the "
+             "addresses in the dataset's documents have it: /d/NAME/r/REV/... An address opens "
+             "what it says until its time is over.",
     .example = "citysplat sign city --auth auth.jsonc --for-s 86400 --url https://maps.example\n"
-               "citysplat sign /d/city/static/8.68,50.11,260@10,-30/640x480.jpg --auth auth.jsonc",
+               "citysplat sign /d/city/r/0123456789ab/static/8.68,50.11,260@10,-30/640x480.jpg "
+               "--auth auth.jsonc",
     .defs = sign_defs,
     .n_defs = sizeof sign_defs / sizeof *sign_defs,
     .min_args = 1,
@@ -52,6 +54,11 @@ static enum err_code sign_check(const struct router *routes, const char *path, s
         return err_add(e, "%s", path), rc;
     if (!(t->route->scope & SCOPE_DATASET))
         return err_set(e, ERR_ARG, "%s: no path of a dataset", path);
+    if (route_redirects(t->route))
+        return err_set(e, ERR_ARG,
+                       "%s: it leads to the current revision: give the path with the revision, "
+                       "/d/%s/r/REV/..., or sign the dataset (citysplat sign %s)",
+                       path, t->names.ds, t->names.ds);
     if (route_names_others(t->route))
         return err_set(e, ERR_ARG,
                        "%s: it leads to other addresses, which this signature would not open: sign "

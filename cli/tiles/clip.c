@@ -59,6 +59,10 @@ enum err_code cli_clip(int argc, char **argv, struct err *e)
     if (run)
         rc = output_needed(o.output, o.overwrite, e);
     if (run && !rc)
+        rc = output_apart(o.output, args.arg[0], e);
+    if (run && !rc)
+        rc = output_apart(o.output, o.polygon, e);
+    if (run && !rc)
         rc = clip_parse(&o, &clip, e);
     if (run && !rc) {
         signals_catch();

@@ -318,6 +318,8 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
                      args.arg[1]);
     if (!rc)
         rc = output_check(args.arg[1], o.overwrite, e);
+    if (!rc)
+        rc = output_apart(args.arg[1], args.arg[0], e);
     if (rc || (rc = convert_read(args.arg[0], &c, e)) != ERR_OK)
         goto out;
     if (o.axes)

@@ -157,8 +157,9 @@ static enum err_code export_file(struct store *s, const struct export_options *o
     struct buf b = {0};
     uint8_t zoom = 0;
     const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
-    const struct ply_info info = {
+    struct ply_info info = {
         .has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
+    memcpy(info.heights, store_info(s)->heights, sizeof info.heights);
     enum err_code rc = export_zoom(s, o->level, &zoom, e);
     if (!rc)
         rc = export_gather(s, zoom, image, &g, e);
@@ -409,6 +410,23 @@ static enum err_code export_format(const char *output, int *out, struct err *e)
                          output, dot);
 }
 
+/* Options of a map would have no effect on another format, nor has --level on all levels. */
+static enum err_code export_check_options(const struct export_options *o, int format, struct err *e)
+{
+    const bool map = format == EXPORT_PMTILES;
+    if (!map && (o->zooms || o->map_format || o->dense))
+        return err_set(e, ERR_ARG, "--%s is for pmtiles alone; leave it out, or write .pmtiles",
+                       o->zooms        ? "zooms"
+                       : o->map_format ? "map-format"
+                                       : "dense");
+    if ((map || format == EXPORT_3DTILES || format == EXPORT_3TZ) && strcmp(o->level, "finest"))
+        return err_set(e, ERR_ARG, "--level is not for 3dtiles, 3tz and pmtiles; leave it out");
+    if (map && o->geoid)
+        return err_set(e, ERR_ARG,
+                       "--geoid is not for pmtiles, which has no heights; leave it out");
+    return ERR_OK;
+}
+
 /* The map is drawn from the store itself. */
 static enum err_code export_pmtiles(const char *store, const struct export_options *o,
                                     struct err *e)
@@ -422,6 +440,50 @@ static enum err_code export_pmtiles(const char *store, const struct export_optio
     return export_map(store, &m, e);
 }
 
+/* Clients of 3D Tiles take heights as ellipsoidal. */
+static enum err_code export_raise(struct store *s, const char *name, bool tileset, struct err *e)
+{
+    const struct store_meta *m = store_info(s);
+    struct geoid *geoid = NULL;
+    char words[HEIGHTS_WORDS_MAX];
+    heights_words(m->heights, words);
+    if (heights_ellipsoidal(m->heights))
+        return ERR_OK;
+    if (!name) {
+        if (tileset)
+            log_warn("export",
+                     "heights count from %s, and clients of 3D Tiles take them as ellipsoidal: up "
+                     "to 100 m off%s",
+                     words, heights_of_sea(m->heights) ? "; --geoid egm96 converts them" : "");
+        return ERR_OK;
+    }
+    if (!heights_of_sea(m->heights))
+        return err_set(e, ERR_DATA, "--geoid %s: heights count from %s, not from the sea", name,
+                       words);
+    enum err_code rc = geoid_open(name, &geoid, e);
+    if (rc)
+        return rc;
+    const double up_m = geoid_above(geoid, m->origin.lon_deg, m->origin.lat_deg);
+    if (isfinite(up_m))
+        store_lift(s, up_m);
+    else
+        rc = err_set(e, ERR_DATA, "--geoid %s: the city lies outside of it", name);
+    geoid_close(&geoid);
+    return rc;
+}
+
+/* The format, and whether the output may be written. */
+static enum err_code export_check(const struct export_options *o, const char *store, int *format,
+                                  struct err *e)
+{
+    enum err_code rc = o->output ? ERR_OK : output_needed(o->output, o->overwrite, e);
+    if (!rc && *format == EXPORT_AUTO)
+        rc = export_format(o->output, format, e);
+    if (!rc && *format != EXPORT_3DTILES) /* folders are looked at by their writer */
+        rc = output_check(o->output, o->overwrite, e);
+    return rc ? rc : output_apart(o->output, store, e);
+}
+
 enum err_code cli_export(int argc, char **argv, struct err *e)
 {
     struct export_options o = {0};
@@ -432,16 +494,18 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     if (rc || args.done)
         goto out;
     signals_catch();
-    rc = output_needed(o.output, o.overwrite, e); /* folders are looked at by their writers */
     int format = (int)o.format;
-    if (!rc && format == EXPORT_AUTO)
-        rc = export_format(o.output, &format, e);
+    rc = export_check(&o, args.arg[0], &format, e);
+    if (!rc)
+        rc = export_check_options(&o, format, e);
     if (!rc && format == EXPORT_PMTILES) {
         rc = export_pmtiles(args.arg[0], &o, e);
         goto out;
     }
     if (!rc)
         rc = store_open(args.arg[0], &s, e);
+    if (!rc)
+        rc = export_raise(s, o.geoid, format == EXPORT_3DTILES || format == EXPORT_3TZ, e);
     float image[APPEARANCE_IMAGE_MAX];
     const float *chosen = o.appearance ? image : NULL;
     if (!rc && chosen)

@@ -103,6 +103,18 @@ static void import_put(const struct import_place *p, struct gauss *g)
         import_fit_apply(p->fit, g);
 }
 
+/* --origin where no file has its name. */
+static enum err_code import_origin(const char *text, struct geo_origin *out, struct err *e)
+{
+    const char *comma = strchr(text, ',');
+    if (!comma || !strchr(comma + 1, ','))
+        return err_set(e, ERR_ARG,
+                       "--origin: '%s': longitude, latitude and height are expected, e.g. "
+                       "8.6821,50.1109,160, or a file of places, and there is no file of this name",
+                       text);
+    return splats_place("--origin", text, out, e);
+}
+
 /* Where the file lies: by --origin, three places of it, or its own word. */
 static enum err_code import_find_place(const char *path, const struct import_options *o,
                                        const struct splats *s, struct import_fit *fit,
@@ -118,7 +130,7 @@ static enum err_code import_find_place(const char *path, const struct import_opt
     if (!o->origin)
         return ERR_OK;
     if (!file_exists(o->origin))
-        return splats_place("--origin", o->origin, &out->origin, e);
+        return import_origin(o->origin, &out->origin, e);
     enum err_code rc = import_fit_read(o->origin, fit, e);
     if (!rc)
         rc = import_fit(out->axes, o->scale, fit, e);
@@ -135,6 +147,8 @@ static enum err_code import_find_place(const char *path, const struct import_opt
 #define IMPORT_FAR_TIMES 100.0
 #define IMPORT_FAR_LEAST_M 1000.0
 #define IMPORT_REACH_SIGMAS (double)(1 << 22)
+/* So far away the plane of a city lies 780 m above the round Earth. */
+#define IMPORT_WIDE_M 1e5
 #define IMPORT_REACH_MOST_M 1e8 /* as stores have it */
 enum { IMPORT_NAMED = 5, IMPORT_SAMPLES = 16 };
 
@@ -177,7 +191,15 @@ static enum err_code import_far_find(const struct gauss *g, struct import_far *f
         v[n] = import_far_m(f, g, i);
         n += isfinite(v[n]);
     }
-    f->limit_m = fmax(IMPORT_FAR_LEAST_M, IMPORT_FAR_TIMES * sort_median(v, n));
+    const double half_m = n ? sort_median(v, n) : 0.0;
+    if (half_m > IMPORT_WIDE_M) {
+        mem_free(v);
+        return err_set(e, ERR_DATA,
+                       "half of the Gaussians lie more than %.0f km from their middle, and tiles "
+                       "are for cities: --scale is metres per unit of the file; is it right?",
+                       1e-3 * half_m);
+    }
+    f->limit_m = fmax(IMPORT_FAR_LEAST_M, IMPORT_FAR_TIMES * half_m);
     for (size_t i = n = 0; i < 3 * g->n; i++)
         if (isfinite(g->scale_log[i]))
             v[n++] = (double)g->scale_log[i];
@@ -304,9 +326,8 @@ static enum err_code import_run(const char *path, const struct import_options *o
     struct import_stream stream = {.place = &place, .far = &far};
     struct pyramid_level level = {.level = (uint8_t)o->level_count};
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .lossless = o->lossless};
-    enum err_code rc = o->origin && !file_exists(o->origin)
-                           ? splats_place("--origin", o->origin, &place.origin, e)
-                           : ERR_OK;
+    enum err_code rc =
+        o->origin && !file_exists(o->origin) ? import_origin(o->origin, &place.origin, e) : ERR_OK;
     if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
         rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
     if (!rc)
@@ -340,6 +361,8 @@ static enum err_code import_run(const char *path, const struct import_options *o
     if (rc)
         goto out;
     snprintf(cfg.attribution, sizeof cfg.attribution, "%s", o->attribution ? o->attribution : "");
+    if (!o->origin) /* --origin is above the ellipsoid */
+        snprintf(cfg.heights, sizeof cfg.heights, "%s", s.info.heights);
     rc = pyramid_build(&place.origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
     import_far_tell(&far);
     if (!rc)
@@ -360,6 +383,10 @@ enum err_code cli_import(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&import_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done)
         rc = output_needed(o.output, o.overwrite, e);
+    if (!rc && !args.done)
+        rc = output_apart(o.output, args.arg[0], e);
+    if (!rc && !args.done)
+        rc = output_apart(o.output, o.origin, e); /* it may be a file */
     if (!rc && !args.done) {
         signals_catch();
         rc = import_run(args.arg[0], &o, e);

@@ -182,7 +182,7 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         {"created", json_string(m->created)},
         {"origin_lon_lat_h", info_origin(&m->origin)},
         {"attribution", json_string(m->attribution)},
-        {"heights", json_string(m->heights[0] ? m->heights : "ellipsoid")},
+        {"heights", json_string(heights_name(m->heights))},
         {"sh_degree", json_integer(m->sh_degree)},
         {"embed_len", json_integer(m->embed_len)},
         {"antialiased", json_boolean(m->antialiased)},
@@ -274,6 +274,8 @@ static enum err_code info_splats(const char *path, json_t *o, struct err *e)
         rc = info_set(o, "box", info_box(lo, hi), e);
     if (!rc && s.info.has_origin)
         rc = info_set(o, "origin_lon_lat_h", info_origin(&s.info.origin), e);
+    if (!rc && s.info.heights[0])
+        rc = info_set(o, "heights", json_string(s.info.heights), e);
     splats_free(&s);
     return rc;
 }

@@ -43,6 +43,8 @@ enum err_code cli_merge(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&merge_spec, argc, argv, &o, &args, &arena, e);
     if (!rc && !args.done)
         rc = output_needed(o.output, o.overwrite, e);
+    for (size_t i = 0; !rc && i < args.n; i++)
+        rc = output_apart(o.output, args.arg[i], e);
     if (!rc && !args.done) {
         signals_catch();
         rc = merge_build(args.arg[0], args.arg[1], o.name, o.output, &r, e);

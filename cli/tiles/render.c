@@ -250,6 +250,10 @@ enum err_code cli_render(int argc, char **argv, struct err *e)
     if (!rc && !args.done)
         rc = output_needed(o.output, o.overwrite, e);
     if (!rc && !args.done)
+        rc = output_apart(o.output, args.arg[0], e);
+    if (!rc && !args.done)
+        rc = output_apart(o.output, o.camera, e);
+    if (!rc && !args.done)
         rc = render_run(args.arg[0], &o, e);
     arena_free(&arena);
     return rc;

@@ -18,6 +18,7 @@
 
 #include "cli/base/cli.h"
 #include "cli/base/output.h"
+#include "cli/base/results.h"
 #include "cli/base/splats.h"
 #include "cli/tiles/photographs.h"
 #include "codec/container/ckpt.h"
@@ -70,7 +71,8 @@ struct tile_cell {
 
 struct tile_scene {
     const char *dir, *trained; /* scene.json and plan.json; cells/ */
-    struct tile_cell *cells;   /* sorted by id */
+    const struct scene *of;
+    struct tile_cell *cells; /* sorted by id */
     size_t n_cells;
     struct footprint footprint; /* empty: nothing is left out */
     struct trim trim;           /* empty: nothing is cut at the edge */
@@ -357,13 +359,15 @@ static enum err_code tile_check_look(struct tile_scene *s, const struct ckpt_row
     return rc;
 }
 
-/* The largest pixel of all cells: none is shown from nearer than its own allows. Checkpoints of
- * before have none. */
-static enum err_code tile_read_pixel(const struct ckpt_rows *rows, struct tile_level *l,
-                                     struct err *e)
+/* Is it of this scene, and the largest pixel of all cells: none is shown from nearer than its own
+ * allows. Checkpoints of before have none. */
+static enum err_code tile_read_head(const struct ckpt_rows *rows, const char *path,
+                                    struct tile_level *l, struct err *e)
 {
     struct json_t *meta = NULL;
     enum err_code rc = ckpt_rows_meta(rows, &meta, e);
+    if (!rc)
+        rc = results_check_origin(l->scene->of, path, meta, e);
     const double pixel_m = json_number_value(json_object_get(meta, "pixel_m"));
     json_decref(meta);
     if (!rc && pixel_m > 0.0 && isfinite(pixel_m))
@@ -391,7 +395,7 @@ static enum err_code tile_open_level(struct tile_scene *s, uint8_t level, struct
             break;
         rc = tile_check_look(s, f->rows, path, e);
         if (!rc)
-            rc = tile_read_pixel(f->rows, l, e);
+            rc = tile_read_head(f->rows, path, l, e);
         size_t parts = (ckpt_rows_count(f->rows) + TILE_PART_ROWS - 1) / TILE_PART_ROWS;
         l->first[l->n_files + 1] = l->first[l->n_files] + parts;
         l->n_files++;
@@ -517,6 +521,8 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
         rc = tile_path(path, s, cell->id, tile_nearest(cell, l), e);
         if (!rc)
             rc = ckpt_read(path, &level[l], e);
+        if (!rc)
+            rc = results_check_origin(s->of, path, level[l].meta, e);
         if (!rc)
             rc = tile_own(s, cell, &level[l].g, e);
         if (!rc)
@@ -675,6 +681,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     struct tile_scene s = {
         .dir = dir, .trained = o->trained ? o->trained : dir, .cropped = &cropped};
     struct scene scene = {0};
+    s.of = &scene;
     enum err_code rc = scene_read(dir, &scene, e);
     if (!rc)
         rc = tile_crop(&s, &scene, o->crop, e);
@@ -682,6 +689,9 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         rc = tile_find_cells(&s, e);
     if (!rc)
         rc = tile_match_plan(&s, &scene, e);
+    for (size_t i = 0; !rc && i < s.n_cells; i++)
+        if (!o->cell || !strcmp(o->cell, s.cells[i].id))
+            results_warn_unfinished("tile", &scene, s.trained, s.cells[i].id);
     if (!rc && o->update) {
         rc = tile_update(&s, o, e);
     } else if (!rc) {
@@ -714,6 +724,8 @@ enum err_code cli_tile(int argc, char **argv, struct err *e)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done && !(o.update && o.output && !strcmp(o.update, o.output)))
         rc = output_check(o.output, o.overwrite, e);
+    if (!rc && !args.done)
+        rc = output_apart(o.output, o.crop, e);
     if (!rc && !args.done) {
         signals_catch();
         rc = tile_run(args.arg[0], &o, e);

@@ -117,6 +117,8 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     rc = v.score.rows ? output_check(v.o.output, v.o.overwrite, e)
                       : err_set(e, ERR_MEM, "eval: out of memory");
     if (!rc)
+        rc = output_apart(v.o.output, v.o.city.tiles, e);
+    if (!rc)
         rc = eval_city_open(&v.city, args.arg[0], v.o.split ? SCENE_TRAIN : SCENE_TEST, e);
     if (!rc)
         rc = eval_score_open(&v.city, &v.score, e);

@@ -10,6 +10,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
+#include "cli/base/results.h"
 #include "codec/container/ckpt.h"
 #include "core/splat/exposure.h"
 #include "lod/choose/view.h"
@@ -165,6 +166,8 @@ static enum err_code eval_city_load_level(struct eval_city *c, const char *dir, 
             continue;
         rc = ckpt_read(path, &k, e);
         if (!rc)
+            rc = results_check_origin(&c->scene, path, k.meta, e);
+        if (!rc)
             rc = eval_city_read_settings(&k, path, s, e);
         if (!rc)
             rc = eval_city_take(c, *found == 0, &k, path, e);
@@ -249,6 +252,18 @@ static enum err_code eval_city_level(struct eval_city *c, const char *dir, unsig
     return rc;
 }
 
+/* Cells that are there and not trained to their end. */
+static void eval_city_warn(const struct eval_city *c, const char *dir)
+{
+    char path[FILE_PATH_MAX + 64];
+    for (size_t i = 0; i < (c->plan.n_cells ? c->plan.n_cells : 1); i++) {
+        const char *id = c->plan.n_cells ? c->plan.cells[i].id : "all";
+        snprintf(path, sizeof path, "%s/cells/%s", dir, id);
+        if (file_is_dir(path))
+            results_warn_unfinished("eval", &c->scene, dir, id);
+    }
+}
+
 static enum err_code eval_city_levels(struct eval_city *c, bool finest, eval_city_fn *fn,
                                       void *user, struct err *e)
 {
@@ -258,6 +273,8 @@ static enum err_code eval_city_levels(struct eval_city *c, bool finest, eval_cit
     enum err_code rc = file_join(path, c->scene.dir, "plan.json", e);
     if (!rc && file_exists(path))
         rc = cell_plan_read(path, &c->scene, &c->plan, e);
+    if (!rc)
+        eval_city_warn(c, dir);
     if (finest)
         for (unsigned level = TRAIN_LEVELS_MAX; !rc && level && !found; level--)
             rc = eval_city_level(c, dir, level, fn, user, &found, e);
@@ -312,6 +329,8 @@ enum err_code eval_city_store(struct eval_city *c, struct view **out, struct ren
                                 .error_px = c->o.error_px,
                                 .distance_m = {c->distance_m[0], c->distance_m[1]}};
     enum err_code rc = view_open(c->o.tiles, c->render, c->cache_bytes, out, e);
+    if (!rc)
+        rc = results_check_frame(&c->scene, c->o.tiles, &store_info(view_store(*out))->origin, e);
     if (!rc) /* as the Gaussians were trained */
         ro->aa = store_info(view_store(*out))->antialiased ? RENDER_AA_2D : RENDER_AA_NONE;
     return rc;

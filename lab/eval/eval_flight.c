@@ -4,7 +4,7 @@
  * A picture changes between frames for two reasons: the camera moves, and other tiles are drawn. To
  * measure the second alone, each frame is drawn twice with the same camera: with its own tiles, and
  * with the tiles of the frame before. The difference is the jump. Tiles are selected for a slightly
- * larger picture, so that none is missing at its edge. With a fade (lod/choose/fade.h) tiles are
+ * larger picture, so that none is missing at its edge. With a fade (lab/eval/fade.h) tiles are
  * drawn in part, and the jump is the change of one step of the fade.
  *
  * SPDX-License-Identifier: Apache-2.0

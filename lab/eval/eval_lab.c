@@ -58,7 +58,8 @@ static enum err_code eval_lab_check(const struct eval_lab_options *o, struct err
                        "--distance-m: distances pick levels with --metric distance alone; add it");
     if (error && by_distance)
         return err_set(e, ERR_ARG, "--error-px: the error picks levels with --metric screen alone");
-    return output_check(o->output, o->overwrite, e);
+    const enum err_code rc = output_check(o->output, o->overwrite, e);
+    return rc ? rc : output_apart(o->output, o->city.tiles, e);
 }
 
 enum err_code eval_lab_open(struct eval_lab *v, const struct options_spec *own, int argc,

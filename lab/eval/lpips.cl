@@ -7,7 +7,7 @@
  *   weights  float [ceil(cout / 8)][cin][k][k][8]; bias float [8 ceil(cout / 8)]
  *
  * One work-item = VW pixels of a row times 8 output channels (convolution of stride 1), one pixel
- * otherwise. Reference: the plain loops of tests/train/test_lpips.c. Tolerance: float rounding,
+ * otherwise. Reference: the plain loops of tests/lab/test_lpips.c. Tolerance: float rounding,
  * 1e-4 relative.
  */
 #if VW == 16

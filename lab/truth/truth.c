@@ -6,6 +6,7 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "cli/base/output.h"
 #include "codec/image/image.h"
 #include "core/geo/geo.h"
 #include "lab/lab.h"
@@ -260,7 +261,9 @@ enum err_code lab_truth(int argc, char **argv, struct err *e)
         goto out;
     signals_catch();
     const struct truth_request q = {args.arg[0], args.arg[1], o.output, o.ground};
-    rc = truth_tell(&q, e);
+    rc = output_apart(o.output, args.arg[1], e);
+    if (!rc)
+        rc = truth_tell(&q, e);
 out:
     arena_free(&a);
     return rc;

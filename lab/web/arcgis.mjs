@@ -1,7 +1,7 @@
 // ArcGIS draws the test city, as the recipe of docs/clients.md says: SSIM to the server's picture, and whom it asked besides.
 //
 //   npm install --no-save --prefix DIR @arcgis/core@5.1.25
-//   CITYSPLAT_BIN=build/release/citysplat node tests/web/arcgis.mjs DIR/node_modules [--shot picture.png] [--lower 39.6]
+//   CITYSPLAT_BIN=build/release/citysplat node lab/web/arcgis.mjs DIR/node_modules [--shot picture.png] [--lower 39.6]
 //
 // --lower: metres from the heights of the tileset, which are above the ellipsoid, to those in which ArcGIS places a camera.
 // The package has 390 MB and a licence of its own, so it is not among those of the tests: this prints, and is no test.

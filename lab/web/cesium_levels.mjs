@@ -2,7 +2,7 @@
 // against the server's picture: the figures of docs/decisions/020-level-selection.md and 021-low-pass.md. It needs no browser: it
 // selects tiles as Cesium3DTileset does and draws them by the arithmetic of Cesium's PrimitiveGaussianSplatVS and -FS.
 //
-//   CITYSPLAT_BIN=... node tests/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2] [--unfiltered] [--exported]
+//   CITYSPLAT_BIN=... node lab/web/cesium_levels.mjs STORE [--half M] [--size WxH] [--factors 0.5,1,2] [--unfiltered] [--exported]
 //
 // --unfiltered: without the low-pass form of tiles. --exported: from a folder of `citysplat export`. --half: half of the city's
 // width, of which the poses are multiples.

@@ -1,7 +1,7 @@
 // A filmstrip of the server's pictures while the camera moves: what is on the screen as each picture arrives, and the full
 // one when the camera rests.
 //
-//   CITYSPLAT_BIN=build/release/citysplat node tests/web/film.mjs STORE.tiles OUT.png [--frames 5]
+//   CITYSPLAT_BIN=build/release/citysplat node lab/web/film.mjs STORE.tiles OUT.png [--frames 5]
 //
 // Pictures of the moving camera are drawn out to the size of the screen, as the page shows them.
 //

@@ -1,7 +1,7 @@
 // What a slow line brings to somebody who opens a store in the viewer: the first picture and all of the view, in bytes and
 // seconds.
 //
-//   CITYSPLAT_BIN=build/release/citysplat node tests/web/line.mjs STORE.tiles [--mbit 10] [--latency 50] [--width 640]
+//   CITYSPLAT_BIN=build/release/citysplat node lab/web/line.mjs STORE.tiles [--mbit 10] [--latency 50] [--width 640]
 //       [--height 360] [--query TEXT] [--times 3] [--away]
 //
 // Bytes are those of all answers, the page and its scripts too, without their heads. The first picture is counted when a

@@ -1,6 +1,6 @@
 // One city, the same Gaussians, in this viewer, in PlayCanvas and in Spark: how soon, how fast, how much, how like.
 //
-//   CITYSPLAT_BIN=build/release/citysplat node tests/web/peers.mjs STORE.tiles [--form sog] [--width 640] [--height 480]
+//   CITYSPLAT_BIN=build/release/citysplat node lab/web/peers.mjs STORE.tiles [--form sog] [--width 640] [--height 480]
 //       [--frames 20] [--step 3] [--away 200] [--up 140] [--rounds 3] [--only NAMES]
 //
 // Each engine opens a fresh page in turn, --rounds times; medians are printed. The finest level is drawn by all: the others

@@ -1,7 +1,7 @@
 // What somebody sees of a store over a slow line, second by second, at a desk and on a phone: bytes so far, what stands on
 // the screen, and how far the page is from its last state, of 255.
 //
-//   CITYSPLAT_BIN=build/release/citysplat node tests/web/seconds.mjs STORE.tiles [--mbit 1.6] [--latency 300] [--shots FOLDER]
+//   CITYSPLAT_BIN=build/release/citysplat node lab/web/seconds.mjs STORE.tiles [--mbit 1.6] [--latency 300] [--shots FOLDER]
 //
 // The server has drawn the poster before, as for everybody but the first visitor of a scene.
 //

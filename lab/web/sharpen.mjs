@@ -1,6 +1,6 @@
 // How soon a slow line shows what the whole view looks like: SSIM of each picture that the viewer draws, against the last.
 //
-//   CITYSPLAT_BIN=build/release/citysplat node tests/web/sharpen.mjs STORE.tiles [--mbit 1.6,10] [--latency 50] [--width 640]
+//   CITYSPLAT_BIN=build/release/citysplat node lab/web/sharpen.mjs STORE.tiles [--mbit 1.6,10] [--latency 50] [--width 640]
 //       [--height 360] [--query TEXT] [--times 3]
 //
 // SSIM counts what is not background alone, so sky and ground are off. Times run from the start of the page. Medians of

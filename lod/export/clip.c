@@ -11,9 +11,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
+#include "core/geo/heights.h"
 #include "core/splat/gauss.h"
 #include "lod/store/store.h"
 
@@ -189,6 +189,8 @@ static enum err_code clip_nothing(const struct store *s, struct err *e)
     const struct geo_origin *o = &store_info(s)->origin;
     double west, south, east, north, low = HUGE_VAL, high = -HUGE_VAL,
                                      box[4] = {180, 90, -180, -90};
+    char above[HEIGHTS_WORDS_MAX];
+    heights_words(store_info(s)->heights, above);
     for (size_t i = 0; i < n; i++) {
         key_bounds(t[i].key, &west, &south, &east, &north);
         if (t[i].key.z != store_info(s)->zoom_max)
@@ -203,14 +205,8 @@ static enum err_code clip_nothing(const struct store *s, struct err *e)
     }
     return err_set(e, ERR_DATA,
                    "nothing is left: the store lies within west,south,east,north "
-                   "%.6f,%.6f,%.6f,%.6f degrees, from %.0f to %.0f m above the ellipsoid",
-                   box[0], box[1], box[2], box[3], low, high);
-}
-
-static bool clip_same_file(const char *a, const char *b)
-{
-    struct stat x, y;
-    return stat(a, &x) == 0 && stat(b, &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
+                   "%.6f,%.6f,%.6f,%.6f degrees, from %.0f to %.0f m above %s",
+                   box[0], box[1], box[2], box[3], low, high, above);
 }
 
 enum err_code clip_store(const struct clip *c, const char *path, const char *name,
@@ -221,7 +217,7 @@ enum err_code clip_store(const struct clip *c, const char *path, const char *nam
     struct progress bar;
     size_t n = 0;
     *report = (struct clip_report){0};
-    if (clip_same_file(path, out_path))
+    if (file_same(path, out_path))
         return err_set(e, ERR_ARG, "%s: a store cannot be clipped onto itself", out_path);
     enum err_code rc = store_open(path, &from, e);
     if (rc)

@@ -18,7 +18,7 @@ struct geo_origin;
 
 struct clip {                 /* free with clip_free */
     struct geojson_area area; /* empty: everywhere */
-    double low_m, high_m;     /* ellipsoidal; -INFINITY, INFINITY: no limit */
+    double low_m, high_m;     /* as the store counts them; -INFINITY, INFINITY: no limit */
 };
 /* Reads the polygons of a GeoJSON file (codec/container/geojson.h), by the even-odd rule. path
  * NULL: everywhere. Heights: -HUGE_VAL, HUGE_VAL: no limit. ERR_DATA: low_m is not below high_m.

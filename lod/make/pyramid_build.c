@@ -239,6 +239,31 @@ static inline float pyramid_mean(const uint8_t *row, size_t k)
     return m;
 }
 
+static double pyramid_far_m(const struct pyramid_slices *s, size_t i, const double center[3])
+{
+    double far = 0.0;
+    for (size_t k = 0; k < 3; k++)
+        far = fmax(far, fabs((double)pyramid_mean(s->row[i], k) +
+                             (s->run[i]->origin_enu_m[k] - center[k])));
+    return far;
+}
+
+/* Each axis has a middle of its own, and rows far apart need not be near all three: then the
+ * nearest row is the centre. */
+static void pyramid_center_near(const struct pyramid_slices *s, double reach_m, double center[3])
+{
+    size_t best = 0;
+    double best_m = HUGE_VAL;
+    for (size_t i = 0; i < s->n && best_m >= reach_m; i++) {
+        const double far = pyramid_far_m(s, i, center);
+        if (far < best_m)
+            best_m = far, best = i;
+    }
+    for (size_t k = 0; best_m >= reach_m && k < 3; k++)
+        center[k] =
+            round((double)pyramid_mean(s->row[best], k) + s->run[best]->origin_enu_m[k]) + 0.0;
+}
+
 static enum err_code pyramid_center(const struct pyramid *p, const struct pyramid_slices *s,
                                     double reach_m, double center[3], struct err *e)
 {
@@ -251,6 +276,7 @@ static enum err_code pyramid_center(const struct pyramid *p, const struct pyrami
         center[k] = pyramid_center_axis(p->cfg->lossless, reach_m, at, s->n);
     }
     mem_free(at);
+    pyramid_center_near(s, PYRAMID_ALLOWANCE * reach_m, center);
     return ERR_OK;
 }
 

@@ -132,7 +132,7 @@ static enum err_code update_overview_keep(struct update *u, struct edit_tile *x,
     for (size_t i = 0; !rc && i < g.n; i++) {
         struct key k;
         rc = edit_key(&u->d, &g, i, (uint8_t)(over.z + 1), &k, e);
-        if (!again[(k.x & 1) + 2 * (k.y & 1)])
+        if (!rc && !again[(k.x & 1) + 2 * (k.y & 1)])
             keep[n++] = (uint32_t)i;
     }
     if (!rc)

@@ -457,6 +457,11 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
                               .n_positioned = g->n_positioned};
     for (size_t i = 0; i < g->scene.n_images; i++)
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
+    if (!r.n_train)
+        log_warn("ingest",
+                 "all %zu photographs are for testing, and none is left to train on: give a larger "
+                 "--test-every or a smaller --test-block, or train with --no-test-split",
+                 r.n_test);
     for (size_t i = 0; i < g->n; i++)
         r.n_gps += g->photos[i].geo.has_gps;
     enum err_code rc = scene_write(g->dir.part, &g->scene, e);

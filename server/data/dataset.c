@@ -67,7 +67,7 @@ static void dataset_find_lift(struct dataset *d, const struct geoid *geoid)
     } else if (heights_of_sea(m->heights)) {
         log_warn("serve",
                  "heights of %s are above %s, and clients of 3D Tiles take them as ellipsoidal: up "
-                 "to 100 m off; --geoid egm96-5 converts them",
+                 "to 100 m off; --geoid egm96 converts them",
                  m->name, words);
     }
 }

@@ -94,11 +94,10 @@ static void collection_add_extents(const struct dataset *d, json_t *o)
  * are above. */
 static void collection_add_facts(const struct dataset *d, json_t *splats)
 {
-    const char *heights = d->meta.heights;
     double outline[HOME_OUTLINE_NUMBERS];
     if (home_outline(d, outline))
         json_object_set_new(splats, "outline", document_numbers(outline, HOME_OUTLINE_NUMBERS));
-    json_object_set_new(splats, "heights", json_string(*heights ? heights : "ellipsoid"));
+    json_object_set_new(splats, "heights", json_string(heights_name(d->meta.heights)));
     if (d->meta.created[0])
         json_object_set_new(splats, "created", json_string(d->meta.created));
     if (d->taken[0][0])

@@ -37,6 +37,12 @@ bool route_names_others(const struct route *r)
     return on && !strstr(on->gives, " Bytes,");
 }
 
+bool route_redirects(const struct route *r)
+{
+    const struct route_method *on = route_on(r, METHOD_GET);
+    return on && strstr(on->gives, "307,");
+}
+
 const char *route_path(const struct route *r)
 {
     return r ? r->path : "unmatched";

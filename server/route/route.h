@@ -83,5 +83,7 @@ const char *route_path(const struct route *r); /* "unmatched" for NULL */
 /* Returns whether a GET answers with a document or a redirect, which name other addresses, and not
  * with bytes alone. */
 bool route_names_others(const struct route *r);
+/* Returns whether a GET answers with a redirect to the current revision. */
+bool route_redirects(const struct route *r);
 
 #endif

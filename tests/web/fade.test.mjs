@@ -1,5 +1,5 @@
-// Cross-fade between levels: the rule against tests/vectors/fade.json, which tests/lod/test_fade.c runs through
-// lod/choose/fade.c; and in the browser, where the camera jumps to where other levels are wanted, and all that changes
+// Cross-fade between levels: the rule against tests/vectors/fade.json, which tests/lab/test_fade.c runs through
+// lab/eval/fade.c; and in the browser, where the camera jumps to where other levels are wanted, and all that changes
 // from frame to frame after the jump is levels.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -28,7 +28,7 @@ const POP_MOST = 16; // of 255, in any pixel from frame to frame
 const SAME = 2; // of 255: Gaussians at one depth are drawn in the order in which their tiles came
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
 
-test("the curve is that of lod/choose/fade.c", () => {
+test("the curve is that of lab/eval/fade.c", () => {
     for (const [t, share] of VECTORS.curve) assert.equal(fadeShare(t), share);
 });
 

@@ -1,7 +1,7 @@
 // Cross-fade between levels: what is drawn while some tiles take the place of others. What comes rises as what goes
 // falls. One fade at a time: what is wanted meanwhile waits for its end, except tiles that nothing stands for.
 //
-// The curve and the rule are those of lod/choose/fade.c; tests/vectors/fade.json holds both to them.
+// The curve and the rule are those of lab/eval/fade.c; tests/vectors/fade.json holds both to them.
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { Block, Piece } from "./block";
