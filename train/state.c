@@ -17,6 +17,7 @@
 #include <jansson.h>
 
 #include "codec/container/ckpt.h"
+#include "core/geo/geo.h"
 #include "core/layout.h"
 #include "train/base/config.h"
 #include "train/base/fixed.h"
