@@ -777,7 +777,7 @@ static void test_a_thousand_stores(void **state)
     assert_int_equal(program_end(&p, SIGTERM), 0);
 }
 
-/* Whether ThreadSanitizer, if programs are built with it, lets threads be left behind at the end. */
+/* Whether ThreadSanitizer, if programs are built with it, lets threads be left behind. */
 static void leave_threads(bool yes)
 {
     static char was[512];
