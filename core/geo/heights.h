@@ -20,7 +20,7 @@ enum { HEIGHTS_MAX = 24, HEIGHTS_WORDS_MAX = 80 };
 /* Returns whether it is one of the texts above. */
 bool heights_valid(const char *text);
 bool heights_ellipsoidal(const char *text);
-/* Whether both count from the same; two that are unknown may still differ. */
+/* Whether both texts name one reference. Two references that are unknown may still differ. */
 bool heights_same(const char *a, const char *b);
 /* The text itself, and "ellipsoid" for "". */
 const char *heights_name(const char *text);

@@ -89,6 +89,13 @@ expect "photographs alone again" "the poses are there already"
 expect "photographs alone again" "tiles are there already"
 [ "$(wc -l <"$work/calls")" = 1 ] || fail "photographs alone again: COLMAP was called"
 
+# More minutes may place what has no pose; a model that stays as it was leaves the scene as it is.
+sed -i 's/"unplaced": \[\]/"unplaced": [{"name": "a.png", "why": "w", "features": 1, "matches": 0}]/' "$alone/align/align.json"
+city "$work/c/photographs alone" --minutes 60 || fail "more minutes: exit $?"
+expect "more minutes" "1/5 align"
+expect "more minutes" "the scene is there already"
+grep -q '"minutes": 60' "$alone/align/align.json" || fail "more minutes: align did not get them"
+
 # The forecast: what is known before work, and nothing is made.
 before=$(find "$work/out" | sort)
 ./bootstrap city "$work/a/my flight" --dry-run --iterations 2000 --max-edge-px 64 >"$work/log" 2>&1 || fail "--dry-run: exit $?"
