@@ -44,7 +44,7 @@ struct depths_result {
     size_t points;
     double seconds;
 };
-/* Sets *out: photographs of the scene have neighbours that depths can be made from. Reads no
+/* Sets *out: whether any training photograph has neighbours, so that depths can be made. Reads no
  * photograph. ERR_MEM. */
 enum err_code depths_possible(const struct scene *s, bool *out, struct err *e) ERR_USE;
 /* Writes `dir`/NAME.npy for every photograph with neighbours: inverse depth in 1/m, [h][w], NaN

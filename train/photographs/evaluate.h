@@ -62,11 +62,10 @@ enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct eva
                              struct err *e) ERR_USE;
 bool evaluate_is_masked(const struct photo *p); /* whether its mask leaves no pixel */
 void evaluate_divide(struct evaluate_score *sum, double n);
-/* Scores the first n_photos of the loader's list, without those that are completely masked.
- * If that leaves none, n_photos is 0 and the scores are NaN. ERR_DATA: n_photos is 0. ERR_CANCEL:
- * stopped by a signal. ERR_ARG: pictures are too small.
- * ERR_IO: `pictures` cannot be written. ERR_MEM, ERR_DEVICE, and the errors of
- * photo_loader_get_nth. */
+/* Scores the first n_photos of the loader's list, without those that are completely masked. If none
+ * is left, out->n_photos is 0 and the means are NaN. ERR_DATA: the argument n_photos is 0.
+ * ERR_CANCEL: stopped by a signal. ERR_ARG: pictures are too small. ERR_IO: `pictures` cannot be
+ * written. ERR_MEM, ERR_DEVICE, and the errors of photo_loader_get_nth. */
 enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,
                            const struct evaluate_source *src, struct evaluate_score *out,
                            struct err *e) ERR_USE;
