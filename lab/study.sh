@@ -634,10 +634,12 @@ study_solid_terms() {
   local MAP_VIEWS=1 SURFACE=city GSD_M=0.384
   seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
 }
-# The same question at 480 x 360 px and a budget that binds: three terms with known depths, and none.
+# The same question at 480 x 360 px, the default's length and a budget that binds: three terms with known depths, and none.
 solid_fixed_rows() { # TRAIN-OPTIONS
-  local off=(--solid-spread 0 --solid-light 0 --solid-flat 0)
-  row solid_fixed "three terms" exact "" "$@" --depth-prior "$OUT/exact-depth"
+  local off=(--solid-spread 0 --solid-light 0 --solid-flat 0) spread
+  for spread in 0.005 0.01; do
+    row solid_fixed "spread $spread" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-spread $spread
+  done
   row solid_fixed none exact "" "$@" "${off[@]}"
 }
 study_solid_fixed() {
