@@ -262,6 +262,26 @@ void hash_add(struct hash_state *s, const void *bytes, size_t n);
 struct hash128 hash_end(struct hash_state *s);
 void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and NUL */
 
+/* ---- number.c: numbers in texts, in the C locale ---- */
+
+/* Reads a finite decimal number, "-1.5e3", with space before it, and moves *p behind it. False:
+ * there is none; then *out is 0. */
+bool number_read(const char **p, double *out);
+/* Reads a text of n numbers with commas between and nothing behind. False: it is none. */
+bool number_list(const char *text, size_t n, double *out);
+
+/* ---- base64.c: RFC 4648 ---- */
+
+enum base64_form {
+    BASE64_PADDED, /* with + and /, and = at the end */
+    BASE64_URL     /* with - and _, and nothing at the end */
+};
+/* Writes n bytes as text with a NUL, at most base64_room(n) bytes. Returns its length. */
+size_t base64_write(const void *bytes, size_t n, enum base64_form form, char *out);
+size_t base64_room(size_t n);
+/* Reads BASE64_URL. False: it is no such text of exactly n bytes. */
+bool base64_read(const char *text, void *out, size_t n);
+
 /* ---- jsonc.c: JSON with // comments on lines of their own, by jansson ---- */
 
 /* Reads and parses JSON. Duplicate keys are errors. Messages name file, line and column. Release

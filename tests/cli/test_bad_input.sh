@@ -322,6 +322,8 @@ refuse "scores of another scene's store" 1 "whole.tiles: its origin lies [0-9]* 
     "$bin" eval "$work/moved" --tiles "$work/whole.tiles" -q
 refuse "a report with a store of another place" 1 "no ground in common" "$work/other.html" \
     "$bin" report "$work/good" --tiles "$work/lone.tiles" -o "$work/other.html" -q
+refuse "an area in hexadecimal" 2 "west,south,east,north" "$work/hex.tif" \
+    "$bin" ortho "$work/whole.tiles" -o "$work/hex.tif" --bbox 0x8,50,9,51 -q
 
 # -- what a killed run leaves, the next one removes -------------------------------------------------------------------
 leftovers() { find "$work" -name 'killed.ply.part-*' | wc -l; }

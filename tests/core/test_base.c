@@ -229,6 +229,50 @@ static void parts_of_files_are_read_and_written_whole(void **state)
     kit_rmdir(dir);
 }
 
+static void numbers_are_decimal_and_finite(void **state)
+{
+    static const char *const none[] = {"",      " ",    "nan",  "inf",   "-inf",
+                                       "1e999", "0x10", "-0X1", "1,2 ",  "1,2,",
+                                       ",1",    "1;2",  "1 ,2", "1,nan", "1,0x2"};
+    double v[3];
+    const char *p = " -1.5e2m";
+    assert_true(number_list("1", 1, v) && v[0] == 1.0);
+    assert_true(number_list(" -.5,+2.5e-1, 0", 3, v) && v[0] == -0.5 && v[1] == 0.25 && v[2] == 0);
+    assert_true(number_read(&p, v) && v[0] == -150.0 && *p == 'm');
+    assert_false(number_read(&p, v));
+    assert_string_equal(p, "m");
+    for (size_t i = 0; i < sizeof none / sizeof *none; i++)
+        if (number_list(none[i], i < 8 ? 1 : 2, v))
+            fail_msg("'%s' is taken for numbers", none[i]);
+}
+
+/* The vectors of RFC 4648, section 10, and one whose digits differ. */
+static void base64_has_two_forms(void **state)
+{
+    static const struct {
+        const char *bytes, *padded, *url;
+    } rows[] = {{"", "", ""},
+                {"f", "Zg==", "Zg"},
+                {"fo", "Zm8=", "Zm8"},
+                {"foo", "Zm9v", "Zm9v"},
+                {"foobar", "Zm9vYmFy", "Zm9vYmFy"},
+                {"\xfb\xff\xfe", "+//+", "-__-"}};
+    char text[16], back[8];
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        const size_t n = strlen(rows[i].bytes);
+        assert_int_equal(base64_write(rows[i].bytes, n, BASE64_PADDED, text),
+                         strlen(rows[i].padded));
+        assert_string_equal(text, rows[i].padded);
+        assert_in_range(strlen(text), 0, base64_room(n) - 1);
+        base64_write(rows[i].bytes, n, BASE64_URL, text);
+        assert_string_equal(text, rows[i].url);
+        assert_true(base64_read(text, back, n));
+        assert_memory_equal(back, rows[i].bytes, n);
+        assert_false(base64_read(text, back, n + 1));
+    }
+    assert_false(base64_read("Zm9+", back, 3));
+}
+
 static void file_write_to_a_full_disk_leaves_nothing(void **state)
 {
     struct err e = {0};
@@ -725,6 +769,8 @@ int main(void)
         cmocka_unit_test(file_write_replaces_whole_or_not_at_all),
         cmocka_unit_test(what_killed_processes_left_is_removed),
         cmocka_unit_test(parts_of_files_are_read_and_written_whole),
+        cmocka_unit_test(numbers_are_decimal_and_finite),
+        cmocka_unit_test(base64_has_two_forms),
         cmocka_unit_test(file_write_to_a_full_disk_leaves_nothing),
         cmocka_unit_test(rng_is_uniform_normal_and_fixed),
         cmocka_unit_test(jsonc_reads_comments_and_names_the_line),
