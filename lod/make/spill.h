@@ -62,11 +62,11 @@ enum err_code spill_read(const struct spill *s, const struct spill_run *r, size_
  * embedding; the rest becomes 0. */
 void spill_unpack(const struct spill *s, const struct spill_run *r, const void *row,
                   struct gauss *g, size_t i);
-/* Finds the rows with first <= code < last. Errors of spill_read. */
+/* Finds the rows with first <= code < last. ERR_IO, ERR_FORMAT. */
 enum err_code spill_slice(const struct spill *s, const struct spill_run *r, uint64_t first,
                           uint64_t last, size_t *from, size_t *to, struct err *e) ERR_USE;
 /* Writes the code of row `from` without its last `shift` bits (shifted right by them) to *code, and
- * the end of the rows that share it to *to. The run has an index. Errors of spill_read. */
+ * the end of the rows that share it to *to. The run has an index. ERR_IO, ERR_FORMAT. */
 enum err_code spill_tile(const struct spill *s, const struct spill_run *r, unsigned shift,
                          size_t from, uint64_t *code, size_t *to, struct err *e) ERR_USE;
 void spill_run_free(struct spill_run *r);
