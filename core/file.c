@@ -80,7 +80,8 @@ enum err_code file_read_at(int fd, const char *name, void *out, size_t n, uint64
         if (got < 0)
             return err_errno(e, ERR_IO, "%s: cannot read", name);
         if (got == 0)
-            return err_set(e, ERR_FORMAT, "%s: truncated", name);
+            return err_set(e, ERR_FORMAT, "%s: truncated: it ends at byte %llu", name,
+                           (unsigned long long)at);
         p += got;
         at += (uint64_t)got;
         n -= (size_t)got;
