@@ -215,11 +215,12 @@ static enum err_code store_meta_pixels(struct store *s, sqlite3_stmt *q, struct 
     if (rc)
         return rc;
     while (text && *text && n < STORE_LEVEL_MAX) {
+        const char *end = text;
         double v;
-        if (!number_read(&text, &v) || !(v >= 0.0 && v < STORE_PIXEL_MOST_M))
+        if (!number_read(&end, &v) || !(v >= 0.0 && v < STORE_PIXEL_MOST_M))
             break;
         m->pixel_m[n++] = v;
-        text += *text == ' ';
+        text = end + (*end == ' ');
     }
     return text && !*text ? ERR_OK
                           : err_set(e, ERR_FORMAT,
