@@ -122,8 +122,9 @@ double cursor_f64(struct cursor *c);
  * ERR_LIMIT (the file is larger than the limit), ERR_MEM. */
 enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out,
                         struct err *e) ERR_USE;
-/* Writes `path.part-PID`, syncs it and renames it to `path`. On ERR_IO or ERR_LIMIT the new file is
- * removed and an older file of that name stays as it was. */
+/* Writes `path.part-MACHINE-PID`, syncs it and renames it to `path`. On ERR_IO or ERR_LIMIT the new
+ * file is removed and an older file of that name stays as it was. MACHINE is 8 hex digits of a hash
+ * of the machine's name. */
 enum err_code file_write(const char *path, const void *bytes, size_t n, struct err *e) ERR_USE;
 /* file_write in steps, for libraries that want a path or a stream. file_begin gives the name to
  * write to. file_commit syncs and renames that file. file_abort removes it. `part` has
@@ -132,6 +133,21 @@ enum { FILE_PATH_MAX = 4096 };
 enum err_code file_begin(const char *path, char *part, struct err *e) ERR_USE;
 enum err_code file_commit(const char *part, const char *path, struct err *e) ERR_USE;
 void file_abort(const char *part);
+/* A process that is killed leaves the file or folder that it was writing. file_sweep removes those
+ * of `path` whose process of this machine is gone; whoever begins a large output calls it.
+ * file_sweep_locked removes all such files of a folder; the caller holds a lock that all of its
+ * writers take. Both log each name. What cannot be removed stays. */
+void file_sweep(const char *path);
+void file_sweep_locked(const char *dir);
+/* Removes a file, or a folder with all that it holds. Links are not followed. What cannot be
+ * removed, or is not there, is no error. */
+void file_remove_tree(const char *path);
+/* Reads or writes n bytes at an offset of an open file, all of them. `name` is for the message. Any
+ * thread. ERR_IO; ERR_FORMAT: the file ends before. */
+enum err_code file_read_at(int fd, const char *name, void *out, size_t n, uint64_t at,
+                           struct err *e) ERR_USE;
+enum err_code file_write_at(int fd, const char *name, const void *bytes, size_t n, uint64_t at,
+                            struct err *e) ERR_USE;
 /* Makes a folder and its parents. ERR_IO names the folder and the reason. ERR_ARG: the name is
  * empty or too long. */
 enum err_code file_mkdir(const char *path, struct err *e) ERR_USE;
@@ -245,6 +261,26 @@ struct hash_state *hash_begin(void);
 void hash_add(struct hash_state *s, const void *bytes, size_t n);
 struct hash128 hash_end(struct hash_state *s);
 void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and NUL */
+
+/* ---- number.c: numbers in texts, in the C locale ---- */
+
+/* Reads a finite decimal number, "-1.5e3", with space before it, and moves *p behind it. False:
+ * there is none; then *out is 0. */
+bool number_read(const char **p, double *out);
+/* Reads a text of n numbers with commas between and nothing behind. False: it is none. */
+bool number_list(const char *text, size_t n, double *out);
+
+/* ---- base64.c: RFC 4648 ---- */
+
+enum base64_form {
+    BASE64_PADDED, /* with + and /, and = at the end */
+    BASE64_URL     /* with - and _, and nothing at the end */
+};
+/* Writes n bytes as text with a NUL, at most base64_room(n) bytes. Returns its length. */
+size_t base64_write(const void *bytes, size_t n, enum base64_form form, char *out);
+size_t base64_room(size_t n);
+/* Reads BASE64_URL. False: it is no such text of exactly n bytes. */
+bool base64_read(const char *text, void *out, size_t n);
 
 /* ---- jsonc.c: JSON with // comments on lines of their own, by jansson ---- */
 

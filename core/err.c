@@ -1,4 +1,4 @@
-/* Errors as values: fill, prefix, name. See err.h for the rules.
+/* Errors as values: fill, prefix, text. See err.h for the rules.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,11 +9,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#define ERR_CASE_NAME(name, text) #name,
 #define ERR_CASE_TEXT(name, text) text,
-static const char *const err_names[] = {ERR_LIST(ERR_CASE_NAME)};
 static const char *const err_texts[] = {ERR_LIST(ERR_CASE_TEXT)};
-enum { ERR_COUNT = sizeof err_names / sizeof err_names[0] };
+enum { ERR_COUNT = sizeof err_texts / sizeof err_texts[0] };
 
 enum err_code err_set(struct err *e, enum err_code code, const char *fmt, ...)
 {
@@ -55,11 +53,6 @@ enum err_code err_add(struct err *e, const char *fmt, ...)
     vsnprintf(text, sizeof text, fmt, ap);
     va_end(ap);
     return err_set(e, e->code, "%s: %s", text, e->msg);
-}
-
-const char *err_name(enum err_code code)
-{
-    return (unsigned)code < ERR_COUNT ? err_names[code] : "ERR_UNKNOWN";
 }
 
 const char *err_text(enum err_code code)

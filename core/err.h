@@ -54,8 +54,7 @@ enum err_code err_errno(struct err *e, enum err_code code, const char *fmt, ...)
 /* Puts context in front of the message: "context: message". Returns e->code, or ERR_INTERNAL if e
  * is NULL. */
 enum err_code err_add(struct err *e, const char *fmt, ...) ERR_PRINTF(2, 3);
-/* Name and text of a code, for logs and JSON. The strings are static. */
-const char *err_name(enum err_code code);
+/* Text of a code, for people. The string is static. */
 const char *err_text(enum err_code code);
 
 #ifdef __cplusplus

@@ -7,6 +7,8 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <ftw.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -68,12 +70,132 @@ enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out, s
     return rc;
 }
 
+enum err_code file_read_at(int fd, const char *name, void *out, size_t n, uint64_t at,
+                           struct err *e)
+{
+    for (char *p = out; n;) {
+        const ssize_t got = pread(fd, p, n > FILE_CHUNK ? FILE_CHUNK : n, (off_t)at);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got < 0)
+            return err_errno(e, ERR_IO, "%s: cannot read", name);
+        if (got == 0)
+            return err_set(e, ERR_FORMAT, "%s: truncated: it ends at byte %llu", name,
+                           (unsigned long long)at);
+        p += got;
+        at += (uint64_t)got;
+        n -= (size_t)got;
+    }
+    return ERR_OK;
+}
+
+enum err_code file_write_at(int fd, const char *name, const void *bytes, size_t n, uint64_t at,
+                            struct err *e)
+{
+    for (const char *p = bytes; n;) {
+        const ssize_t put = pwrite(fd, p, n > FILE_CHUNK ? FILE_CHUNK : n, (off_t)at);
+        if (put < 0 && errno == EINTR)
+            continue;
+        if (put <= 0)
+            return err_errno(e, ERR_IO, "%s: cannot write", name);
+        p += put;
+        at += (uint64_t)put;
+        n -= (size_t)put;
+    }
+    return ERR_OK;
+}
+
+/* ---- under another name until it is complete ---- */
+
+static const char file_part[] = ".part-";
+
+/* The machine is in the name because folders are shared: a process of another one that writes there
+ * must not be taken for a dead one of this. */
+static void file_machine(char out[9])
+{
+    char name[256] = "", hex[33];
+    (void)gethostname(name, sizeof name - 1);
+    hash_text(hash_bytes(name, strlen(name)), hex);
+    memcpy(out, hex, 8);
+    out[8] = '\0';
+}
+
 enum err_code file_begin(const char *path, char *part, struct err *e)
 {
-    int n = snprintf(part, FILE_PATH_MAX, "%s.part-%ld", path, (long)getpid());
+    char machine[9];
+    file_machine(machine);
+    int n = snprintf(part, FILE_PATH_MAX, "%s%s%s-%ld", path, file_part, machine, (long)getpid());
     if (n < 0 || n >= FILE_PATH_MAX)
         return err_set(e, ERR_LIMIT, "%s: path too long", path);
     return ERR_OK;
+}
+
+/* Whether a name ends in what file_begin appends, and that process of this machine is gone. */
+static bool file_is_left(const char *name, const char *machine)
+{
+    const char *last = NULL, *digits;
+    char *end;
+    for (const char *p = name; (p = strstr(p, file_part)); p++)
+        last = p;
+    digits = last ? last + sizeof file_part - 1 + 9 : NULL;
+    if (!last || strlen(last) < sizeof file_part - 1 + 10 || digits[-1] != '-' ||
+        memcmp(digits - 9, machine, 8) != 0)
+        return false;
+    const long pid = strtol(digits, &end, 10);
+    return pid > 0 && !*end && kill((pid_t)pid, 0) && errno == ESRCH;
+}
+
+/* What was left in `dir` by writers of `name`; NULL: of all that it holds, whether they run or not.
+ */
+static void file_sweep_in(const char *dir, const char *name)
+{
+    char machine[9], path[FILE_PATH_MAX];
+    const size_t n = name ? strlen(name) : 0;
+    file_machine(machine);
+    DIR *d = opendir(dir);
+    for (struct dirent *ent; d && (ent = readdir(d));) {
+        const bool left = name ? !strncmp(ent->d_name, name, n) &&
+                                     !strncmp(ent->d_name + n, file_part, sizeof file_part - 1) &&
+                                     file_is_left(ent->d_name + n, machine)
+                               : strstr(ent->d_name, file_part) != NULL;
+        if (!left || file_join(path, dir, ent->d_name, NULL))
+            continue;
+        file_remove_tree(path);
+        log_info("disk", "%s was left by a run that was killed: removed", path);
+    }
+    if (d)
+        closedir(d);
+}
+
+void file_sweep(const char *path)
+{
+    char dir[FILE_PATH_MAX];
+    const char *slash = strrchr(path, '/');
+    const size_t n = slash ? (size_t)(slash - path) + 1 : 0;
+    if (n >= sizeof dir)
+        return;
+    memcpy(dir, path, n);
+    dir[n] = '\0';
+    file_sweep_in(n ? dir : ".", path + n);
+}
+
+void file_sweep_locked(const char *dir)
+{
+    file_sweep_in(dir, NULL);
+}
+
+static int file_remove_entry(const char *path, const struct stat *st, int type, struct FTW *at)
+{
+    (void)st;
+    (void)type;
+    (void)at;
+    (void)remove(path);
+    return 0;
+}
+
+void file_remove_tree(const char *path)
+{
+    (void)nftw(path, file_remove_entry, 16, FTW_DEPTH | FTW_PHYS);
 }
 
 static enum err_code file_sync(const char *path, struct err *e)

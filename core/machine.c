@@ -7,7 +7,6 @@
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -17,18 +16,19 @@ enum { MACHINE_LEAST = 1 << 20 };
 
 enum err_code machine_memory_parse(const char *text, size_t machine, size_t *out, struct err *e)
 {
-    char *end = NULL;
+    const char *end = text;
     *out = machine / 2;
     if (!strcmp(text, "auto"))
         return ERR_OK;
-    double v = strtod(text, &end), unit = 1;
+    double v, unit = 1;
+    const bool is = number_read(&end, &v);
     if (*end == 'k' || *end == 'K')
         unit = 1 << 10, end++;
     else if (*end == 'M')
         unit = 1 << 20, end++;
     else if (*end == 'G')
         unit = 1 << 30, end++;
-    if (end == text || *end || !(v > 0) || !(v * unit >= MACHINE_LEAST) || v * unit > 1e15)
+    if (!is || *end || !(v * unit >= MACHINE_LEAST) || v * unit > 1e15)
         return err_set(e, ERR_ARG,
                        "--memory %.40s: auto, or a size of at least 1M is expected: 512M, 2G",
                        text);

@@ -8,25 +8,10 @@
 
 #include <dirent.h>
 #include <errno.h>
-#include <ftw.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
-
-static int outdir_remove_entry(const char *path, const struct stat *st, int type, struct FTW *at)
-{
-    (void)st;
-    (void)type;
-    (void)at;
-    remove(path);
-    return 0;
-}
-
-static void outdir_remove_tree(const char *path)
-{
-    nftw(path, outdir_remove_entry, 16, FTW_DEPTH | FTW_PHYS);
-}
 
 static bool outdir_is_empty_dir(const char *path)
 {
@@ -76,10 +61,11 @@ enum err_code outdir_begin(const char *path, const char *marker, bool overwrite,
         *out = (struct outdir){0};
         return rc;
     }
-    memcpy(out->part, out->path, n);
-    snprintf(out->part + n, 32, ".part-%ld", (long)getpid());
-    outdir_remove_tree(out->part); /* of a killed run with the same number */
-    rc = file_mkdir(out->part, e);
+    file_sweep(out->path);
+    rc = file_begin(out->path, out->part, e);
+    file_remove_tree(out->part); /* of a killed run with the same number */
+    if (!rc)
+        rc = file_mkdir(out->part, e);
     if (rc)
         *out = (struct outdir){0};
     return rc;
@@ -101,7 +87,7 @@ enum err_code outdir_commit(struct outdir *d, struct err *e)
         return rc;
     }
     if (old[0])
-        outdir_remove_tree(old);
+        file_remove_tree(old);
     *d = (struct outdir){0};
     return ERR_OK;
 }
@@ -109,6 +95,6 @@ enum err_code outdir_commit(struct outdir *d, struct err *e)
 void outdir_abort(struct outdir *d)
 {
     if (d->part[0])
-        outdir_remove_tree(d->part);
+        file_remove_tree(d->part);
     *d = (struct outdir){0};
 }

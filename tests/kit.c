@@ -5,15 +5,20 @@
 #define _XOPEN_SOURCE 700
 #include "tests/kit.h"
 
-#include <ftw.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
 #include "core/splat/camera.h"
+
+const char *kit_err(enum err_code code)
+{
+#define KIT_NAME(name, text) #name,
+    static const char *const names[] = {ERR_LIST(KIT_NAME)};
+    return names[code];
+}
 
 void kit_expect_text(const char *msg, const char *part, const char *file, int line)
 {
@@ -70,18 +75,10 @@ void kit_tmpdir(char path[FILE_PATH_MAX])
         fail_msg("cannot make a temporary folder %s", path);
 }
 
-static int kit_remove(const char *path, const struct stat *st, int type, struct FTW *ftw)
-{
-    (void)st;
-    (void)type;
-    (void)ftw;
-    return remove(path);
-}
-
 void kit_rmdir(const char *path)
 {
     if (path[0])
-        (void)nftw(path, kit_remove, 16, FTW_DEPTH | FTW_PHYS);
+        file_remove_tree(path);
 }
 
 char kit_tmp[FILE_PATH_MAX];

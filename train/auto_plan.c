@@ -5,7 +5,6 @@
 #include "train/auto_plan.h"
 
 #include <math.h>
-#include <unistd.h>
 
 #include "codec/scene/scene.h"
 #include "core/base.h"
@@ -26,14 +25,15 @@ struct auto_plan_need {
     bool begun;          /* of a scene in one piece: training has begun, or is complete */
 };
 
-/* What training the cells that there are now takes. */
-static enum err_code auto_plan_ask(const char *scene_dir, const struct train_config *cfg,
-                                   struct auto_plan_need *out, struct err *e)
+/* What training the cells of a plan takes; NULL: of the scene as it is. */
+static enum err_code auto_plan_ask(const char *scene_dir, const char *plan,
+                                   const struct train_config *cfg, struct auto_plan_need *out,
+                                   struct err *e)
 {
     struct jobs_list list;
     const enum log_level was = log_get_level();
     log_set_level(LOG_WARN); /* what each cell is told when it is trained */
-    enum err_code rc = jobs_list(scene_dir, cfg, true, &list, e);
+    enum err_code rc = jobs_list(scene_dir, plan, cfg, true, &list, e);
     log_set_level(was);
     *out = (struct auto_plan_need){.n_cells = list.n_cells};
     for (size_t i = 0; i < list.n_cells; i++) {
@@ -65,19 +65,24 @@ static enum err_code auto_plan_write(const char *path, const struct scene *s, do
     return rc;
 }
 
-/* Writes plans until one fits. *fits has 0 cells if none does; then there is no plan, nor if it is
- * stopped. */
+/* Writes plans under another name until one fits, which gets the name `path`. *fits has 0 cells if
+ * none does; then there is no plan, nor if it is stopped. */
 static enum err_code auto_plan_search(const char *scene_dir, const char *path,
                                       const struct train_config *cfg, double memory_bytes,
                                       struct auto_plan_need *fits, double *edge_m, struct err *e)
 {
     struct scene scene = {0};
+    char trial[FILE_PATH_MAX];
     size_t n = 0;
     double span_m = 0.0;
     *fits = (struct auto_plan_need){0};
-    enum err_code rc = scene_read(scene_dir, &scene, e);
+    file_sweep(path);
+    enum err_code rc = file_begin(path, trial, e);
+    if (rc)
+        return rc;
+    rc = scene_read(scene_dir, &scene, e);
     if (!rc)
-        rc = auto_plan_write(path, &scene, 0.0, &span_m, &n, e);
+        rc = auto_plan_write(trial, &scene, 0.0, &span_m, &n, e);
     for (size_t parts = 2; !rc && parts <= AUTO_PLAN_PARTS; parts++) {
         struct auto_plan_need need;
         if (signals_stopping()) {
@@ -85,17 +90,19 @@ static enum err_code auto_plan_search(const char *scene_dir, const char *path,
             break;
         }
         /* Whole metres, so that a person can write the same on a command line. */
-        rc = auto_plan_write(path, &scene, fmax(ceil(span_m / (double)parts), 1.0), edge_m, &n, e);
+        rc = auto_plan_write(trial, &scene, fmax(ceil(span_m / (double)parts), 1.0), edge_m, &n, e);
         if (rc || n < 2)
             continue;
-        rc = auto_plan_ask(scene_dir, cfg, &need, e);
+        rc = auto_plan_ask(scene_dir, trial, cfg, &need, e);
         if (!rc && need.memory_bytes <= memory_bytes) {
             *fits = need;
             break;
         }
     }
-    if ((rc || !fits->n_cells) && file_exists(path) && unlink(path) && !rc)
-        rc = err_errno(e, ERR_IO, "%s: cannot be removed", path);
+    if (!rc && fits->n_cells)
+        rc = file_commit(trial, path, e);
+    else
+        file_abort(trial);
     scene_free(&scene);
     return rc;
 }
@@ -111,7 +118,7 @@ enum err_code auto_plan(const char *scene_dir, const struct train_config *cfg, s
         return rc;
     rc = machine_memory_parse(cfg->memory, machine_memory(), &memory, e);
     if (!rc)
-        rc = auto_plan_ask(scene_dir, cfg, &whole, e);
+        rc = auto_plan_ask(scene_dir, NULL, cfg, &whole, e);
     if (rc || whole.memory_bytes <= (double)memory)
         return rc;
     if (whole.begun) {

@@ -9,7 +9,6 @@
  */
 #include "train/done.h"
 
-#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
@@ -130,18 +129,6 @@ enum err_code done_read(const char *cell_dir, struct train_cell_result *out, str
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }
 
-/* A process that was killed leaves what it was writing. With the lock, nobody else writes here. */
-static void done_clear_leftovers(const char *cell_dir)
-{
-    DIR *d = opendir(cell_dir);
-    for (struct dirent *ent; d && (ent = readdir(d));)
-        if (strstr(ent->d_name, ".part-") && !unlinkat(dirfd(d), ent->d_name, 0))
-            log_info("train", "%s/%s was left by a run that was killed: removed", cell_dir,
-                     ent->d_name);
-    if (d)
-        closedir(d);
-}
-
 enum err_code done_lock(const char *cell_dir, int *fd, struct err *e)
 {
     char path[FILE_PATH_MAX];
@@ -153,7 +140,7 @@ enum err_code done_lock(const char *cell_dir, int *fd, struct err *e)
     if (*fd < 0)
         return err_errno(e, ERR_IO, "%s: cannot open", path);
     if (!flock(*fd, LOCK_EX | LOCK_NB)) {
-        done_clear_leftovers(cell_dir);
+        file_sweep_locked(cell_dir);
         return ERR_OK;
     }
     /* A file system without locks is no reason not to train. */

@@ -16,8 +16,8 @@ enum err_code done_write(const char *cell_dir, const struct train_cell_result *r
 /* Reads it. ERR_NOENT: there is none. ERR_FORMAT: it is no done-file, or a level's file is missing
  * or has another size. */
 enum err_code done_read(const char *cell_dir, struct train_cell_result *out, struct err *e) ERR_USE;
-/* Locks the folder for this process, and removes the partly written files (`.part-PID`) of
- * processes that were killed. The lock ends with the descriptor, also when the process is
+/* Locks the folder for this process, and removes the partly written files of processes that were
+ * killed. The lock ends with the descriptor, also when the process is
  * killed. ERR_BUSY: another process has it. ERR_IO: the folder cannot be written. */
 enum err_code done_lock(const char *cell_dir, int *fd, struct err *e) ERR_USE;
 void done_unlock(int *fd);

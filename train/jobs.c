@@ -127,13 +127,13 @@ static enum err_code jobs_coarse(struct jobs_listing *l, struct err *e)
     return rc;
 }
 
-enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg, bool needs,
-                        struct jobs_list *out, struct err *e)
+enum err_code jobs_list(const char *scene_dir, const char *plan, const struct train_config *cfg,
+                        bool needs, struct jobs_list *out, struct err *e)
 {
     struct jobs_listing l = {.needs = needs, .out = out};
     struct train_scene *s = &l.scene;
     *out = (struct jobs_list){0};
-    enum err_code rc = train_scene_open(scene_dir, cfg, s, e);
+    enum err_code rc = train_scene_open(scene_dir, plan, cfg, s, e);
     if (!rc)
         out->cells = mem_array(s->n_cells, sizeof *out->cells);
     if (!rc && !out->cells)
@@ -536,7 +536,7 @@ enum err_code jobs_run(const char *program, const char *scene_dir, const struct 
     j->program = program;
     j->scene_dir = scene_dir;
     j->cfg = cfg;
-    enum err_code rc = jobs_list(scene_dir, cfg, false, &list, e);
+    enum err_code rc = jobs_list(scene_dir, NULL, cfg, false, &list, e);
     if (!rc)
         rc = jobs_prepare(j, &list, e);
     if (rc)

@@ -31,13 +31,14 @@ struct jobs_list { /* in the order of the plan; {0} is empty; free with jobs_lis
     struct jobs_cell *cells;
     size_t n_cells;
 };
-/* Lists the cells that `citysplat train SCENE` would train, without opening a device. With
+/* Lists the cells that `citysplat train SCENE` would train, without opening a device, by the
+ * plan in a file (NULL: the scene's own). With
  * cfg->coarse_only the list is the coarse model, or empty if the cells need none. `needs`: also
  * what each takes of memory and time, which looks at every photograph of every cell. Free *out with
  * jobs_list_free. ERR_ARG, ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM as in train_run.
  */
-enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg, bool needs,
-                        struct jobs_list *out, struct err *e) ERR_USE;
+enum err_code jobs_list(const char *scene_dir, const char *plan, const struct train_config *cfg,
+                        bool needs, struct jobs_list *out, struct err *e) ERR_USE;
 void jobs_list_free(struct jobs_list *l);
 const char *jobs_state_name(enum jobs_state s); /* "new", "started", "done" */
 

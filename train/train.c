@@ -26,7 +26,7 @@ static enum err_code train_open(struct train *t, const char *scene_dir,
                                 const struct train_config *cfg, struct err *e)
 {
     mem_return_large();
-    enum err_code rc = train_scene_open(scene_dir, cfg, &t->scene, e);
+    enum err_code rc = train_scene_open(scene_dir, NULL, cfg, &t->scene, e);
     if (!rc)
         pool_limit((size_t)cfg->threads);
     if (!rc)

@@ -25,7 +25,7 @@ enum err_code train_scene_images(struct scene *s, enum scene_split split, bool t
     return ERR_OK;
 }
 
-enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
+enum err_code train_scene_open(const char *dir, const char *plan, const struct train_config *cfg,
                                struct train_scene *out, struct err *e)
 {
     char path[FILE_PATH_MAX];
@@ -33,8 +33,8 @@ enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
     enum err_code rc = scene_read(dir, &out->scene, e);
     if (!rc)
         rc = file_join(path, dir, "plan.json", e);
-    if (!rc && file_exists(path))
-        rc = cell_plan_read(path, &out->scene, &out->plan, e);
+    if (!rc && (plan || file_exists(path)))
+        rc = cell_plan_read(plan ? plan : path, &out->scene, &out->plan, e);
     else if (!rc && cfg->cell)
         rc = err_set(e, ERR_NOENT, "%s: --cell needs a plan; `citysplat plan %s` makes it", path,
                      dir);

@@ -23,10 +23,11 @@ struct train_scene { /* call train_scene_close, also after an error */
     size_t n_cells;
     size_t n_planned; /* cells of the plan that are trained, with or without --cell */
 };
-/* Reads the scene in `dir`, its plan.json if there is one, and selects the cells that cfg names.
+/* Reads the scene in `dir` and the file `plan` of its cells (NULL: the scene's plan.json, if there
+ * is one), and selects the cells that cfg names.
  * ERR_NOENT: no scene, or --cell without a plan. ERR_ARG: no such cell. ERR_DATA: no cell can be
  * trained. ERR_FORMAT, ERR_IO, ERR_MEM. */
-enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
+enum err_code train_scene_open(const char *dir, const char *plan, const struct train_config *cfg,
                                struct train_scene *out, struct err *e) ERR_USE;
 void train_scene_close(struct train_scene *s);
 /* Fills cell, images and test_images of `job`; they live in the scene's arena. `index` is one of

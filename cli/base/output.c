@@ -15,6 +15,8 @@
 enum err_code output_check(const char *path, bool overwrite, struct err *e)
 {
     struct stat st;
+    if (path)
+        file_sweep(path);
     if (!path || stat(path, &st))
         return ERR_OK;
     if (S_ISDIR(st.st_mode))

@@ -9,8 +9,9 @@
 
 #include "core/err.h"
 
-/* Call it before the work begins. path may be NULL. ERR_ARG: there is such a file, and --overwrite
- * was not given; or there is something else of this name: a folder, a pipe or a device. */
+/* Call it before the work begins. What killed runs left of the file is removed (file_sweep). path
+ * may be NULL. ERR_ARG: there is such a file, and --overwrite was not given; or there is something
+ * else of this name: a folder, a pipe or a device. */
 enum err_code output_check(const char *path, bool overwrite, struct err *e) ERR_USE;
 /* As output_check, of a file that the command cannot do without: path NULL is ERR_ARG, too. */
 enum err_code output_needed(const char *path, bool overwrite, struct err *e) ERR_USE;

@@ -9,7 +9,6 @@
 #include <fcntl.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 #include <sys/stat.h>
@@ -173,17 +172,11 @@ enum err_code splats_place(const char *option, const char *text, struct geo_orig
                            struct err *e)
 {
     double v[3];
-    const char *p = text;
-    for (size_t i = 0; i < 3; i++) {
-        char *end;
-        v[i] = strtod(p, &end);
-        if (end == p || *end != (i < 2 ? ',' : '\0') || !isfinite(v[i]))
-            return err_set(
-                e, ERR_ARG,
-                "%s: '%s': longitude, latitude and height are expected, e.g. 8.6821,50.1109,160",
-                option, text);
-        p = end + 1;
-    }
+    if (!number_list(text, 3, v))
+        return err_set(
+            e, ERR_ARG,
+            "%s: '%s': longitude, latitude and height are expected, e.g. 8.6821,50.1109,160",
+            option, text);
     *out = (struct geo_origin){v[0], v[1], v[2]};
     if (fabs(v[0]) > 180.0 || fabs(v[1]) > 90.0 || fabs(v[2]) > 1e6)
         return err_set(e, ERR_ARG,

@@ -6,7 +6,6 @@
 
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 
 #include <jansson.h>
 
@@ -15,14 +14,7 @@
 /* Parses "LON,LAT". */
 static enum err_code ask_place(const char *text, double out[2], struct err *e)
 {
-    char *end;
-    out[0] = strtod(text, &end);
-    const char *lat = end + 1;
-    if (end == text || *end != ',')
-        return err_set(e, ERR_ARG, "'%s': LON,LAT in degrees is expected, e.g. 8.6821,50.1109",
-                       text);
-    out[1] = strtod(lat, &end);
-    if (end == lat || *end || !(fabs(out[0]) <= 180) || !(fabs(out[1]) <= 90))
+    if (!number_list(text, 2, out) || !(fabs(out[0]) <= 180) || !(fabs(out[1]) <= 90))
         return err_set(e, ERR_ARG, "'%s': LON,LAT in degrees is expected, e.g. 8.6821,50.1109",
                        text);
     return ERR_OK;

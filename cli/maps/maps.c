@@ -7,7 +7,6 @@
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 
@@ -18,17 +17,14 @@
 
 enum err_code maps_bbox(const char *text, double out[4], struct err *e)
 {
-    const char *p = text;
-    for (size_t i = 0; i < 4; i++) {
-        char *end;
-        out[i] = strtod(p, &end);
-        if (end == p || *end != (i < 3 ? ',' : '\0') || !(fabs(out[i]) <= (i % 2 ? 90 : 180)))
-            return err_set(e, ERR_ARG,
-                           "--bbox: '%s': west,south,east,north in degrees is expected, e.g. "
-                           "8.68,50.10,8.69,50.12",
-                           text);
-        p = end + 1;
-    }
+    bool good = number_list(text, 4, out);
+    for (size_t i = 0; i < 4; i++)
+        good = good && fabs(out[i]) <= (i % 2 ? 90 : 180);
+    if (!good)
+        return err_set(e, ERR_ARG,
+                       "--bbox: '%s': west,south,east,north in degrees is expected, e.g. "
+                       "8.68,50.10,8.69,50.12",
+                       text);
     return out[0] < out[2] && out[1] < out[3]
                ? ERR_OK
                : err_set(e, ERR_ARG,

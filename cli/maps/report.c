@@ -204,9 +204,10 @@ static enum err_code report_picture(struct report *r, struct nadir *n, enum geot
     struct sheet *sheet = NULL;
     struct image img = {0};
     void *px = NULL;
-    if (snprintf(path, sizeof path, "%s.part.tif", r->o->output) >= (int)sizeof path)
-        return err_set(e, ERR_LIMIT, "%.60s...: the path is too long", r->o->output);
-    enum err_code rc = map_write(n, &request, path, NULL, e);
+    enum err_code rc = file_begin(r->o->output, path, e);
+    if (rc)
+        return rc;
+    rc = map_write(n, &request, path, NULL, e);
     if (!rc)
         rc = sheet_open(path, kind, &sheet, e);
     const struct map_grid *g = rc ? NULL : sheet_grid(sheet);

@@ -114,20 +114,6 @@ void report_ground_free(struct report_ground *g)
 
 /* ---- pictures ---- */
 
-static void report_base64(const struct buf *b, struct buf *out)
-{
-    static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    for (size_t i = 0; i < b->size; i += 3) {
-        size_t left = b->size - i;
-        uint32_t v = (uint32_t)b->data[i] << 16 | (left > 1 ? (uint32_t)b->data[i + 1] << 8 : 0) |
-                     (left > 2 ? (uint32_t)b->data[i + 2] : 0);
-        buf_u8(out, (uint8_t)digit[v >> 18]);
-        buf_u8(out, (uint8_t)digit[v >> 12 & 63]);
-        buf_u8(out, (uint8_t)(left > 1 ? digit[v >> 6 & 63] : '='));
-        buf_u8(out, (uint8_t)(left > 2 ? digit[v & 63] : '='));
-    }
-}
-
 static enum err_code report_data(const struct image *img, const char *format, struct buf *out,
                                  struct err *e)
 {
@@ -135,7 +121,10 @@ static enum err_code report_data(const struct image *img, const char *format, st
     enum err_code rc = image_encode(img, format, 85, &b, e);
     if (!rc) {
         buf_printf(out, "data:image/%s;base64,", strcmp(format, "jpg") ? format : "jpeg");
-        report_base64(&b, out);
+        uint8_t *to = buf_grow(out, base64_room(b.size)); /* its NUL is not kept */
+        if (to)
+            out->size -=
+                base64_room(b.size) - base64_write(b.data, b.size, BASE64_PADDED, (char *)to);
     }
     buf_free(&b);
     return rc;

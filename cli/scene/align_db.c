@@ -216,22 +216,26 @@ enum err_code align_db_without(const char *path, const char *to, const struct al
                                const bool *of, struct err *e)
 {
     char part[FILE_PATH_MAX];
-    snprintf(part, sizeof part, "%s.part", to);
-    remove(part); /* of a run that was killed */
+    enum err_code rc = file_begin(to, part, e);
+    if (rc)
+        return rc;
+    file_sweep(to);
+    file_abort(part);
     sqlite3 *db = db_open(path), *copy = NULL;
     char *sql = sqlite3_mprintf("VACUUM INTO %Q", part);
     bool good = db && sql && db_do(db, sql, 0, 0) && (copy = db_open(part)) &&
                 db_do(copy, "BEGIN", 0, 0) && db_remove_all(copy, plan, of) &&
                 db_do(copy, "COMMIT", 0, 0);
-    enum err_code rc = good ? ERR_OK
-                            : err_set(e, ERR_IO, "%s: cannot be made: %s", part,
-                                      copy ? sqlite3_errmsg(copy)
-                                      : db ? sqlite3_errmsg(db)
-                                           : "COLMAP's database cannot be opened");
+    if (!good)
+        rc = err_set(e, ERR_IO, "%s: cannot be made: %s", to,
+                     copy ? sqlite3_errmsg(copy)
+                     : db ? sqlite3_errmsg(db)
+                          : "COLMAP's database cannot be opened");
     sqlite3_free(sql);
     sqlite3_close(copy);
     sqlite3_close(db);
-    if (!rc && rename(part, to))
-        rc = err_errno(e, ERR_IO, "%s: cannot rename", part);
+    if (!rc)
+        return file_commit(part, to, e);
+    file_abort(part);
     return rc;
 }

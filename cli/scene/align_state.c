@@ -8,7 +8,6 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <dirent.h>
-#include <ftw.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
@@ -29,19 +28,10 @@ char *align_path(struct align *a, const char *below)
     return arena_printf(&a->arena, "%s/%s", a->dir, below);
 }
 
-static int state_remove_entry(const char *path, const struct stat *st, int type, struct FTW *at)
-{
-    (void)st;
-    (void)type;
-    (void)at;
-    remove(path);
-    return 0;
-}
-
 void align_remove(const char *path)
 {
     if (path)
-        nftw(path, state_remove_entry, 16, FTW_DEPTH | FTW_PHYS);
+        file_remove_tree(path);
 }
 
 const char *align_stage_name(enum align_stage s)

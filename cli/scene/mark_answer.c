@@ -4,7 +4,6 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <jansson.h>
-#include <math.h>
 #include <string.h>
 
 #include "cli/scene/mark_work.h"
@@ -40,11 +39,6 @@ static json_t *mark_pair(const double v[2])
     return json_pack("[f,f]", v[0], v[1]);
 }
 
-static json_t *mark_real(double v)
-{
-    return isfinite(v) ? json_real(v) : json_null();
-}
-
 static json_t *mark_points(const struct marking *m)
 {
     static const char *const sources[] = {"nowhere", "frame", "one", "marks"};
@@ -57,8 +51,8 @@ static json_t *mark_points(const struct marking *m)
             a, json_pack("{s:s,s:[f,f,f],s:I,s:I,s:s,s:o,s:o,s:o}", "name", g->name, "at",
                          g->file[0], g->file[1], g->file[2], "marks", (json_int_t)p.marks,
                          "suspects", (json_int_t)p.suspects, "source", sources[p.source], "worst",
-                         mark_real(p.worst_px), "offPlan", mark_real(p.off_m[0]), "offHeight",
-                         mark_real(p.off_m[1])));
+                         jsonc_real(p.worst_px), "offPlan", jsonc_real(p.off_m[0]), "offHeight",
+                         jsonc_real(p.off_m[1])));
     }
     return a;
 }
@@ -74,7 +68,7 @@ static json_t *mark_spots(const struct marking *m, size_t point)
             a, json_pack("{s:I,s:o,s:o,s:o,s:o,s:b,s:b}", "photo", (json_int_t)s->photo, "expected",
                          s->expected ? mark_pair(s->expected_px) : json_null(), "mark",
                          s->marked ? mark_pair(s->marked_px) : json_null(), "residual",
-                         mark_real(s->residual_px), "out", mark_real(s->out_px), "suspect",
+                         jsonc_real(s->residual_px), "out", jsonc_real(s->out_px), "suspect",
                          s->suspect, "lost", s->marked && s->lost));
     }
     mem_free(spots);

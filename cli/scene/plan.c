@@ -2,7 +2,6 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <math.h>
 #include <stdio.h>
 
 #include "cli/base/cli.h"
@@ -45,10 +44,8 @@ static void plan_print(const struct scene *s, const struct partition *p)
 static enum err_code plan_grid(const struct plan_options *o, struct cell_grid *out, struct err *e)
 {
     double at[2] = {0.0, 0.0};
-    char more;
     *out = (struct cell_grid){0};
-    if (o->origin_m && (sscanf(o->origin_m, "%lf,%lf%c", &at[0], &at[1], &more) != 2 ||
-                        !isfinite(at[0]) || !isfinite(at[1])))
+    if (o->origin_m && !number_list(o->origin_m, 2, at))
         return err_set(e, ERR_ARG,
                        "--origin-m '%s': two numbers with a comma are expected, as 10,-56",
                        o->origin_m);

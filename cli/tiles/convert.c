@@ -6,7 +6,6 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <stdio.h>
 #include <string.h>
 #include <strings.h>
 
@@ -128,29 +127,6 @@ static enum err_code convert_read(const char *path, struct converted *c, struct 
     return rc;
 }
 
-static enum err_code convert_sort_gauss(struct gauss *g, struct err *e)
-{
-    struct gauss sorted = {0};
-    uint32_t *order = mem_array(g->n, sizeof *order);
-    enum err_code rc =
-        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "convert: out of memory");
-    if (!rc)
-        rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
-    if (!rc) {
-        sorted.antialiased = g->antialiased;
-        memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
-        rc = gauss_append(&sorted, g, order, g->n, e);
-    }
-    mem_free(order);
-    if (!rc) {
-        gauss_free(g);
-        *g = sorted;
-    } else {
-        gauss_free(&sorted);
-    }
-    return rc;
-}
-
 /* Rows of another degree: bands that are missing are 0, surplus ones go. */
 static enum err_code convert_set_degree(struct gauss *g, uint32_t degree, struct err *e)
 {
@@ -215,7 +191,7 @@ static enum err_code convert_write_ply(struct converted *c, enum convert_format 
     c->info.axes = said[convert_turn(c, want, in)];
     if (format == CONVERT_PLY)
         return ply_encode(&c->g, &c->info, out, e);
-    enum err_code rc = convert_sort_gauss(&c->g, e);
+    enum err_code rc = gauss_sort(&c->g, e);
     return !rc ? ply_packed_encode(&c->g, c->g.sh_degree, &c->info, out, e) : rc;
 }
 
@@ -275,7 +251,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     else
         convert_turn(c, AXES_GLTF, in);
     if (o->sort)
-        rc = convert_sort_gauss(&c->g, e);
+        rc = gauss_sort(&c->g, e);
     if (!rc && format == CONVERT_SOG)
         return sog_encode(&c->g, c->g.sh_degree, out, e);
     if (!rc && !integers)

@@ -5,7 +5,6 @@
  */
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 
@@ -56,19 +55,17 @@ enum { RENDER_QUALITY = 92 }; /* of .jpg and .webp: no artefact of theirs is see
 
 static enum err_code render_background(const char *text, float out[3], struct err *e)
 {
-    const char *p = text ? text : "";
-    for (size_t i = 0; i < 3; i++) {
-        char *end;
-        double v = strtod(p, &end);
-        if (end == p || *end != (i < 2 ? ',' : '\0') || !(v >= 0.0 && v <= 1.0))
-            return err_set(
-                e, ERR_ARG,
-                "--background: '%s': three numbers from 0 to 1 are expected, e.g. 0.5,0.7,1",
-                text ? text : "");
-        out[i] = (float)v;
-        p = end + 1;
+    double v[3];
+    bool good = number_list(text ? text : "", 3, v);
+    for (size_t i = 0; good && i < 3; i++) {
+        good = v[i] >= 0.0 && v[i] <= 1.0;
+        out[i] = (float)v[i];
     }
-    return ERR_OK;
+    return good ? ERR_OK
+                : err_set(
+                      e, ERR_ARG,
+                      "--background: '%s': three numbers from 0 to 1 are expected, e.g. 0.5,0.7,1",
+                      text ? text : "");
 }
 
 static enum err_code render_camera(const struct render_cli_options *o,

@@ -71,7 +71,7 @@ static enum err_code train_print_list(const char *scene_dir, const struct train_
 {
     struct jobs_list list;
     log_set_level(LOG_WARN); /* what each job is told when it starts */
-    enum err_code rc = jobs_list(scene_dir, cfg, true, &list, e);
+    enum err_code rc = jobs_list(scene_dir, NULL, cfg, true, &list, e);
     for (size_t i = 0; i < list.n_cells; i++) {
         const struct jobs_cell *c = &list.cells[i];
         uint64_t steps = 0;
@@ -150,7 +150,7 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
         return train_run(scene_dir, cfg, out, e);
     if (cfg->coarse_only)
         return train_coarse_first(scene_dir, cfg, out, e);
-    rc = jobs_list(scene_dir, cfg, !cfg->jobs, &list, e);
+    rc = jobs_list(scene_dir, NULL, cfg, !cfg->jobs, &list, e);
     size_t n = list.n_cells, at_once = (size_t)cfg->jobs;
     if (!rc && !cfg->jobs)
         rc = jobs_at_once(cfg, &list, &at_once, e);

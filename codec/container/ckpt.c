@@ -518,25 +518,6 @@ struct ckpt_rows {
     size_t n_entries;
 };
 
-static enum err_code ckpt_pread(const struct ckpt_rows *r, void *out, size_t n, uint64_t at,
-                                struct err *e)
-{
-    uint8_t *p = out;
-    while (n > 0) {
-        ssize_t got = pread(r->fd, p, n, (off_t)at);
-        if (got < 0 && errno == EINTR)
-            continue;
-        if (got < 0)
-            return err_errno(e, ERR_IO, "%s", r->path);
-        if (got == 0)
-            return err_set(e, ERR_FORMAT, "%s: truncated", r->path);
-        p += got;
-        n -= (size_t)got;
-        at += (uint64_t)got;
-    }
-    return ERR_OK;
-}
-
 static enum err_code ckpt_verify_section(const struct ckpt_rows *r, const struct ckpt_entry *t,
                                          struct err *e)
 {
@@ -546,7 +527,7 @@ static enum err_code ckpt_verify_section(const struct ckpt_rows *r, const struct
     enum err_code rc = block && h ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", r->path);
     for (uint64_t at = 0; !rc && at < t->size; at += BLOCK) {
         size_t n = t->size - at < BLOCK ? (size_t)(t->size - at) : BLOCK;
-        rc = ckpt_pread(r, block, n, t->offset + at, e);
+        rc = file_read_at(r->fd, r->path, block, n, t->offset + at, e);
         if (!rc)
             hash_add(h, block, n);
     }
@@ -570,7 +551,7 @@ static enum err_code ckpt_open_head(struct ckpt_rows *r, struct err *e)
     uint8_t *p = buf_grow(&head, n);
     enum err_code rc = buf_check(&head, e);
     if (!rc)
-        rc = ckpt_pread(r, p, n, 0, e);
+        rc = file_read_at(r->fd, r->path, p, n, 0, e);
     if (!rc)
         rc = ckpt_read_table(r->path, &head, size, &r->entry, &r->n_entries, e);
     buf_free(&head);
@@ -578,7 +559,7 @@ static enum err_code ckpt_open_head(struct ckpt_rows *r, struct err *e)
     if (!rc && (!s || s->size != CKPT_GAUSS_BYTES))
         rc = ckpt_bad(r->path, "damaged: section '#gauss' is missing or too short", e);
     if (!rc)
-        rc = ckpt_pread(r, counts, sizeof counts, s->offset, e);
+        rc = file_read_at(r->fd, r->path, counts, sizeof counts, s->offset, e);
     if (!rc)
         rc = ckpt_read_counts(r->path, r->entry, r->n_entries, counts, &r->head, e);
     for (size_t i = 0; !rc && i < r->n_entries; i++)
@@ -646,7 +627,7 @@ enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, s
     for (size_t i = 0; !rc && i < CKPT_ARRAYS; i++) {
         const struct ckpt_entry *s = ckpt_section(r->entry, r->n_entries, arrays[i].name);
         size_t row = arrays[i].per_row * sizeof(float);
-        rc = ckpt_pread(r, arrays[i].data, n * row, s->offset + from * row, e);
+        rc = file_read_at(r->fd, r->path, arrays[i].data, n * row, s->offset + from * row, e);
     }
     if (rc)
         gauss_free(out);
@@ -661,7 +642,7 @@ static enum err_code ckpt_read_section(const struct ckpt_rows *r, const struct c
     enum err_code rc = h ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", r->path);
     for (size_t at = 0, n; !rc && at < s->size; at += n) {
         n = s->size - at < CKPT_PIECE ? (size_t)s->size - at : CKPT_PIECE;
-        rc = ckpt_pread(r, out + at, n, s->offset + at, e);
+        rc = file_read_at(r->fd, r->path, out + at, n, s->offset + at, e);
         hash_add(h, out + at, rc ? 0 : n);
     }
     const struct hash128 got = hash_end(h);

@@ -8,10 +8,8 @@
  */
 #include "codec/container/package.h"
 
-#include <errno.h>
 #include <fcntl.h>
 #include <nettle/md5.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -92,36 +90,6 @@ static enum err_code package_zip(const char *dir, char *const *names, size_t n, 
 
 /* ---- the index ---- */
 
-static enum err_code package_pread(int fd, uint64_t at, void *out, size_t n, const char *part,
-                                   struct err *e)
-{
-    for (size_t done = 0; done < n;) {
-        ssize_t got = pread(fd, (char *)out + done, n - done, (off_t)(at + done));
-        if (got < 0 && errno == EINTR)
-            continue;
-        if (got <= 0)
-            return got ? err_errno(e, ERR_IO, "%s", part)
-                       : err_set(e, ERR_INTERNAL, "%s: the zip archive is shorter than it says",
-                                 part);
-        done += (size_t)got;
-    }
-    return ERR_OK;
-}
-
-static enum err_code package_pwrite(int fd, uint64_t at, const void *bytes, size_t n,
-                                    const char *part, struct err *e)
-{
-    for (size_t done = 0; done < n;) {
-        ssize_t put = pwrite(fd, (const char *)bytes + done, n - done, (off_t)(at + done));
-        if (put < 0 && errno == EINTR)
-            continue;
-        if (put < 0)
-            return err_errno(e, ERR_IO, "%s", part);
-        done += (size_t)put;
-    }
-    return ERR_OK;
-}
-
 struct package_directory { /* the zip's own */
     uint64_t at, size, n;
 };
@@ -137,7 +105,7 @@ static enum err_code package_find(int fd, const char *part, struct package_direc
     const uint64_t size = (uint64_t)st.st_size;
     if (size < sizeof end)
         return err_set(e, ERR_INTERNAL, "%s: no zip archive was written", part);
-    enum err_code rc = package_pread(fd, size - sizeof end, end, sizeof end, part, e);
+    enum err_code rc = file_read_at(fd, part, end, sizeof end, size - sizeof end, e);
     struct cursor c = cursor_over(end + PACKAGE_LOCATOR, PACKAGE_END);
     const bool found = !rc && cursor_u32(&c) == 0x06054b50;
     if (!rc && !found)
@@ -152,7 +120,7 @@ static enum err_code package_find(int fd, const char *part, struct package_direc
     if (cursor_u32(&c) != 0x07064b50) /* no ZIP64 */
         return ERR_OK;
     (void)cursor_u32(&c);
-    rc = package_pread(fd, cursor_u64(&c), end64, sizeof end64, part, e);
+    rc = file_read_at(fd, part, end64, sizeof end64, cursor_u64(&c), e);
     c = cursor_over(end64 + 32, PACKAGE_END64 - 32);
     if (!rc) {
         out->n = cursor_u64(&c);
@@ -254,18 +222,18 @@ static enum err_code package_put(int fd, const char *part, const struct package_
     const uint32_t sum = (uint32_t)crc32_z(0, index->data, index->size);
     for (int k = 0; k < 4; k++)
         crc[k] = (uint8_t)(sum >> (8 * k));
-    enum err_code rc = package_pread(fd, last->offset, local, sizeof local, part, e);
+    enum err_code rc = file_read_at(fd, part, local, sizeof local, last->offset, e);
     struct cursor c = cursor_over(local + 26, 4);
     const uint32_t n_name = cursor_u16(&c), n_extra = cursor_u16(&c);
     if (!rc && (local[6] & 8)) /* sizes and CRC behind the data: not as libzip writes files */
         rc = err_set(e, ERR_INTERNAL, "%s: the index has no CRC in its head", part);
     if (!rc)
-        rc = package_pwrite(fd, last->offset + 14, crc, sizeof crc, part, e);
+        rc = file_write_at(fd, part, crc, sizeof crc, last->offset + 14, e);
     if (!rc)
-        rc = package_pwrite(fd, d->at + last->at + 16, crc, sizeof crc, part, e);
+        rc = file_write_at(fd, part, crc, sizeof crc, d->at + last->at + 16, e);
     return rc ? rc
-              : package_pwrite(fd, last->offset + PACKAGE_LOCAL + n_name + n_extra, index->data,
-                               index->size, part, e);
+              : file_write_at(fd, part, index->data, index->size,
+                              last->offset + PACKAGE_LOCAL + n_name + n_extra, e);
 }
 
 static enum err_code package_index(const char *part, size_t n, struct buf *index, struct err *e)
@@ -283,7 +251,7 @@ static enum err_code package_index(const char *part, size_t n, struct buf *index
     if (!rc && !(bytes = mem_array(d.size ? d.size : 1, 1)))
         rc = err_set(e, ERR_MEM, "zip: out of memory for the directory of %zu files", n);
     if (!rc)
-        rc = package_pread(fd, d.at, bytes, d.size, part, e);
+        rc = file_read_at(fd, part, bytes, d.size, d.at, e);
     if (!rc)
         rc = package_rows(bytes, d.size, n, index, &last, e);
     if (!rc)

@@ -15,7 +15,6 @@
  */
 #include "codec/container/pmtiles.h"
 
-#include <errno.h>
 #include <fcntl.h>
 #include <libdeflate.h>
 #include <math.h>
@@ -94,23 +93,6 @@ static enum err_code pmtiles_grow(struct pmtiles *p, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code pmtiles_write(const struct pmtiles *p, uint64_t at, const void *bytes,
-                                   size_t n, struct err *e)
-{
-    const uint8_t *from = bytes;
-    while (n) {
-        const ssize_t k = pwrite(p->fd, from, n, (off_t)at);
-        if (k < 0 && errno == EINTR)
-            continue;
-        if (k <= 0)
-            return err_errno(e, ERR_IO, "%s", p->part);
-        from += k;
-        at += (uint64_t)k;
-        n -= (size_t)k;
-    }
-    return ERR_OK;
-}
-
 /* ---- tiles ---- */
 
 enum err_code pmtiles_begin(const char *path, struct pmtiles **out, struct err *e)
@@ -183,7 +165,7 @@ enum err_code pmtiles_add(struct pmtiles *p, uint64_t id, const void *bytes, siz
     const struct hash128 hash = hash_bytes(bytes, n);
     struct pmtiles_content *c = pmtiles_place(p->content, p->n_places, hash);
     if (!c->length) {
-        rc = pmtiles_write(p, PMTILES_ROOM + p->bytes, bytes, n, e);
+        rc = file_write_at(p->fd, p->part, bytes, n, PMTILES_ROOM + p->bytes, e);
         if (rc)
             return rc;
         *c = (struct pmtiles_content){hash, p->bytes, (uint32_t)n};
@@ -323,11 +305,13 @@ enum err_code pmtiles_commit(struct pmtiles **out, const struct pmtiles_about *a
         rc = buf_check(&head, e);
     }
     if (!rc)
-        rc = pmtiles_write(p, 0, head.data, head.size, e);
+        rc = file_write_at(p->fd, p->part, head.data, head.size, 0, e);
     if (!rc)
-        rc = pmtiles_write(p, PMTILES_ROOM + p->bytes, metadata.data, metadata.size, e);
+        rc =
+            file_write_at(p->fd, p->part, metadata.data, metadata.size, PMTILES_ROOM + p->bytes, e);
     if (!rc && leaves.size)
-        rc = pmtiles_write(p, PMTILES_ROOM + p->bytes + metadata.size, leaves.data, leaves.size, e);
+        rc = file_write_at(p->fd, p->part, leaves.data, leaves.size,
+                           PMTILES_ROOM + p->bytes + metadata.size, e);
     if (!rc) {
         const int fd = p->fd;
         p->fd = -1; /* a descriptor is gone even if close fails */

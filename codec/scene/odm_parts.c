@@ -163,7 +163,7 @@ enum err_code odm_lens(const char *id, const json_t *camera, struct lens *out, s
 
 /* ---- poses ---- */
 
-void odm_turn(const double axis_rad[3], double quat_wxyz[4])
+static void odm_turn(const double axis_rad[3], double quat_wxyz[4])
 {
     double angle =
         sqrt(axis_rad[0] * axis_rad[0] + axis_rad[1] * axis_rad[1] + axis_rad[2] * axis_rad[2]);

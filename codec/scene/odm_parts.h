@@ -29,8 +29,6 @@ enum err_code odm_keys_of(const struct json_t *object, struct arena *a, struct o
 /* Converts a camera of OpenSfM to COLMAP's. ERR_DATA: COLMAP has no such model. ERR_FORMAT. */
 enum err_code odm_lens(const char *id, const struct json_t *camera, struct lens *out,
                        struct err *e) ERR_USE;
-/* Converts a rotation from axis times angle (radians) to a quaternion. */
-void odm_turn(const double axis_rad[3], double quat_wxyz[4]);
 /* Sets name and pose of a photograph. ERR_FORMAT: its name or numbers are not valid. ERR_MEM. */
 enum err_code odm_image_set(struct colmap_model *m, size_t i, const char *name,
                             const struct json_t *pose, struct err *e) ERR_USE;

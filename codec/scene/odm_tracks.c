@@ -37,12 +37,9 @@ static enum err_code odm_sight_add(struct odm_sights *s, const struct odm_sight 
 
 /* ---- tracks.csv ---- */
 
-/* A finite number and nothing else. */
 static bool odm_coordinate(const char *text, double *out)
 {
-    char *end;
-    *out = strtod(text, &end);
-    return end != text && !*end && fabs(*out) <= 1;
+    return number_list(text, 1, out) && fabs(*out) <= 1;
 }
 
 static enum err_code odm_track_line(char *line, const struct odm_keys *names,

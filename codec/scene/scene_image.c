@@ -156,8 +156,7 @@ static enum err_code scene_image_read_number(const json_t *o, const char *key, v
 
 static json_t *scene_image_write_number(const void *member)
 {
-    const double *v = member;
-    return isfinite(*v) ? json_real(*v) : json_null();
+    return jsonc_real(*(const double *)member);
 }
 
 /* ---- what is left out where it is not known ---- */

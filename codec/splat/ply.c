@@ -287,36 +287,20 @@ struct ply_stream {
     struct columns col;
 };
 
-static enum err_code ply_read_at(const struct ply_stream *s, void *out, size_t n, uint64_t at,
-                                 size_t *got, struct err *e)
-{
-    char *p = out;
-    for (*got = 0; *got < n;) {
-        ssize_t here = pread(s->fd, p + *got, n - *got, (off_t)(at + *got));
-        if (here < 0 && errno == EINTR)
-            continue;
-        if (here < 0)
-            return err_errno(e, ERR_IO, "%s", s->path);
-        if (here == 0)
-            break;
-        *got += (size_t)here;
-    }
-    return ERR_OK;
-}
-
 /* The head of the open file; *fits: its rows can be read in parts. */
 static enum err_code ply_stream_head(struct ply_stream *s, bool *fits, struct err *e)
 {
     struct stat st;
-    size_t got = 0;
     if (fstat(s->fd, &st))
         return err_errno(e, ERR_IO, "%s", s->path);
+    if (!S_ISREG(st.st_mode))
+        return err_set(e, ERR_IO, "%s: no file, but a folder, a pipe or a device", s->path);
+    const size_t size = (size_t)st.st_size, n = size < PLY_HEAD_MAX ? size : PLY_HEAD_MAX;
     uint8_t *bytes = mem_uninit(PLY_HEAD_MAX, 1);
-    enum err_code rc = bytes ? ply_read_at(s, bytes, PLY_HEAD_MAX, 0, &got, e)
-                             : err_set(e, ERR_MEM, "%s: out of memory", s->path);
-    size_t size = S_ISREG(st.st_mode) && (size_t)st.st_size > got ? (size_t)st.st_size : got;
+    enum err_code rc =
+        bytes ? file_read_at(s->fd, s->path, bytes, n, 0, e) : err_set(e, ERR_MEM, "out of memory");
     if (!rc)
-        rc = ply_head_read_of(bytes, got, size, &s->head, e);
+        rc = ply_head_read_of(bytes, n, size, &s->head, e);
     mem_free(bytes);
     s->vertex = rc ? NULL : ply_head_element(&s->head, "vertex");
     *fits = s->vertex && s->vertex->rows_at && s->vertex->row_bytes && !ply_packed_is(&s->head);
@@ -330,15 +314,10 @@ static enum err_code ply_stream_rows_read(const struct ply_stream *s, size_t fir
                                           uint8_t **rows, struct err *e)
 {
     const struct ply_element *v = s->vertex;
-    size_t got = 0;
     *rows = mem_uninit(n, v->row_bytes);
-    enum err_code rc = *rows ? ply_read_at(s, *rows, n * v->row_bytes,
-                                           v->rows_at + (uint64_t)first * v->row_bytes, &got, e)
-                             : err_set(e, ERR_MEM, "%s: out of memory for %zu rows", s->path, n);
-    if (!rc && got < n * v->row_bytes)
-        rc = err_set(e, ERR_FORMAT, "%s: row %zu: the file ends: truncated while it was read",
-                     s->path, first + got / v->row_bytes);
-    return rc;
+    return *rows ? file_read_at(s->fd, s->path, *rows, n * v->row_bytes,
+                                v->rows_at + (uint64_t)first * v->row_bytes, e)
+                 : err_set(e, ERR_MEM, "%s: out of memory for %zu rows", s->path, n);
 }
 
 /* One range for all parts of the file. */

@@ -80,8 +80,7 @@ static bool options_number(const struct options_def *d, const char *text, int64_
     char *end = NULL;
     errno = 0;
     if (!is_whole) {
-        *real = strtod(text, &end);
-        return end != text && !*end && isfinite(*real) && *real >= d->lo && *real <= d->hi;
+        return number_list(text, 1, real) && *real >= d->lo && *real <= d->hi;
     }
     long long v = strtoll(text, &end, 10);
     if (end != text && !*end) {
@@ -725,12 +724,8 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
 enum err_code options_number_of(const char *option, const char *text, double none, double *out,
                                 struct err *e)
 {
-    char *end;
     *out = none;
-    if (!text)
-        return ERR_OK;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out)
+    return !text || number_list(text, 1, out)
                ? ERR_OK
                : err_set(e, ERR_ARG, "%s: '%s': a number is expected", option, text);
 }

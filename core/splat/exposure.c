@@ -13,7 +13,7 @@ float exposure_to_linear(float srgb)
     return srgb <= 0.04045f ? srgb / 12.92f : powf((srgb + 0.055f) / 1.055f, 2.4f);
 }
 
-float exposure_to_srgb(float linear)
+static float exposure_to_srgb(float linear)
 {
     return linear <= 0.0031308f ? linear * 12.92f : 1.055f * powf(linear, 1.0f / 2.4f) - 0.055f;
 }

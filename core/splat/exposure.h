@@ -19,9 +19,8 @@
 /* A byte outside this range says nothing about the light: it is clipped or lost in noise. */
 enum { EXPOSURE_BYTE_MIN = 4, EXPOSURE_BYTE_MAX = 250 };
 
-/* Convert an sRGB value 0..1 to linear light, and back. */
+/* Converts an sRGB value 0..1 to linear light. */
 float exposure_to_linear(float srgb);
-float exposure_to_srgb(float linear);
 /* Returns whether all three are 0. */
 bool exposure_is_mean(const float ev[3]);
 /* out[channel][byte]: the value that a byte of the photograph would have at the mean exposure. A

@@ -6,7 +6,6 @@
 #include "core/splat/gauss.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "core/base.h"
@@ -288,18 +287,36 @@ enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct
     return ERR_OK;
 }
 
-enum err_code gauss_sorted(const struct gauss *g, struct gauss *out, struct err *e)
+/* Copies rows in the order of the curve. */
+static enum err_code gauss_sort_into(struct gauss *out, const struct gauss *g, uint32_t embed_len,
+                                     const double origin_enu_m[3], struct err *e)
 {
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc = order ? gauss_hilbert_order(g, order, e)
                              : err_set(e, ERR_MEM, "out of memory for %zu rows in order", g->n);
     if (!rc)
-        rc = gauss_alloc(out, g->n, g->sh_degree, 0, e);
+        rc = gauss_alloc(out, g->n, g->sh_degree, embed_len, e);
     if (!rc) {
         out->antialiased = g->antialiased;
+        memcpy(out->origin_enu_m, origin_enu_m, sizeof out->origin_enu_m);
         rc = gauss_append(out, g, order, g->n, e);
     }
     mem_free(order);
+    return rc;
+}
+
+enum err_code gauss_sorted(const struct gauss *g, struct gauss *out, struct err *e)
+{
+    return gauss_sort_into(out, g, 0, (const double[3]){0.0, 0.0, 0.0}, e);
+}
+
+enum err_code gauss_sort(struct gauss *g, struct err *e)
+{
+    struct gauss sorted = {0};
+    enum err_code rc = gauss_sort_into(&sorted, g, g->embed_len, g->origin_enu_m, e);
+    gauss_free(rc ? &sorted : g);
+    if (!rc)
+        *g = sorted;
     return rc;
 }
 

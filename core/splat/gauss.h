@@ -78,6 +78,8 @@ enum err_code gauss_morton_order_of(const struct gauss_places *p, uint32_t *orde
 /* As gauss_morton_order, along a Hilbert curve through a cube. Files use it: rows that are close in
  * space then lie together, which compresses better. ERR_MEM, ERR_LIMIT. */
 enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
+/* Sorts the rows by it. After an error g is as it was. ERR_MEM, ERR_LIMIT. */
+enum err_code gauss_sort(struct gauss *g, struct err *e) ERR_USE;
 /* Copies rows, without embeddings, in the order of gauss_hilbert_order, with the origin at 0: far
  * from it means lose digits. Free *out with gauss_free.
  * ERR_MEM, ERR_LIMIT (2^32 rows). */

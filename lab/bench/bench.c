@@ -4,12 +4,10 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #define _XOPEN_SOURCE 700
-#include <ftw.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include <jansson.h>
 
@@ -166,14 +164,6 @@ const char *bench_tmpdir(struct bench *b)
             snprintf(tmpdir, sizeof tmpdir, ".");
     }
     return tmpdir;
-}
-
-static int bench_remove(const char *path, const struct stat *st, int type, struct FTW *ftw)
-{
-    (void)st;
-    (void)type;
-    (void)ftw;
-    return remove(path);
 }
 
 /* The value of the same case in the baseline, 0 when it has none. The file is JSON lines. */
@@ -363,6 +353,6 @@ out:
     mem_free(b.rows);
     arena_free(&b.arena);
     if (tmpdir[0] && strcmp(tmpdir, "."))
-        (void)nftw(tmpdir, bench_remove, 16, FTW_DEPTH | FTW_PHYS);
+        file_remove_tree(tmpdir);
     return rc;
 }

@@ -9,16 +9,15 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <dirent.h>
-#include <math.h>
 #include <stdio.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "codec/container/npy.h"
 #include "codec/limits.h"
 #include "codec/splat/ply.h"
 #include "core/device/dev.h"
 #include "core/options/options.h"
+#include "core/outdir.h"
 #include "core/splat/camera.h"
 #include "lab/lab.h"
 #include "render/render.h"
@@ -53,11 +52,12 @@ enum { FILES = sizeof gradient_files / sizeof *gradient_files };
 
 static enum err_code gradient_parse_background(const char *text, float out[3], struct err *e)
 {
-    char rest;
-    if (!text || sscanf(text, "%f,%f,%f%c", &out[0], &out[1], &out[2], &rest) != 3 ||
-        !isfinite(out[0]) || !isfinite(out[1]) || !isfinite(out[2]))
+    double v[3];
+    if (!number_list(text ? text : "", 3, v))
         return err_set(e, ERR_ARG, "--background %s: expected three numbers, as in 0,0.5,1",
                        text ? text : "");
+    for (size_t i = 0; i < 3; i++)
+        out[i] = (float)v[i];
     return ERR_OK;
 }
 
@@ -150,16 +150,6 @@ static enum err_code gradient_write_file(const char *dir, const struct gradient_
     return rc;
 }
 
-/* Remove our files from `dir`, and it. */
-static void gradient_remove_folder(const char *dir)
-{
-    char path[FILE_PATH_MAX];
-    for (size_t i = 0; i < FILES; i++)
-        if (file_join(path, dir, gradient_files[i].name, NULL) == ERR_OK)
-            unlink(path);
-    rmdir(dir);
-}
-
 /* ERR_ARG when `dir` holds something else than an earlier result of ours that may be replaced. */
 static enum err_code gradient_check_output(const char *dir, bool overwrite, struct err *e)
 {
@@ -189,31 +179,13 @@ static enum err_code gradient_check_output(const char *dir, bool overwrite, stru
 static enum err_code gradient_write_folder(const char *dir, const float *raw, uint32_t planes,
                                            const struct gauss *g, struct err *e)
 {
-    char name[FILE_PATH_MAX - 32], part[FILE_PATH_MAX], old[FILE_PATH_MAX];
-    size_t len = strlen(dir);
-    while (len > 1 && dir[len - 1] == '/')
-        len--;
-    if (len >= sizeof name)
-        return err_set(e, ERR_LIMIT, "output folder %s: the name is too long", dir);
-    memcpy(name, dir, len);
-    name[len] = '\0';
-    snprintf(part, sizeof part, "%s.part-%ld", name, (long)getpid());
-    snprintf(old, sizeof old, "%s.old-%ld", name, (long)getpid());
-    enum err_code rc = file_mkdir(part, e);
+    struct outdir out;
+    enum err_code rc = outdir_begin(dir, gradient_files[0].name, true, &out, e);
     for (size_t i = 0; !rc && i < FILES; i++)
-        rc = gradient_write_file(part, &gradient_files[i], raw, planes, g, e);
-    bool had = file_is_dir(name);
-    if (!rc && had && rename(name, old) != 0)
-        rc = err_errno(e, ERR_IO, "gradient: moving %s away", name);
-    if (!rc && rename(part, name) != 0) {
-        rc = err_errno(e, ERR_IO, "gradient: output folder %s", name);
-        if (had && rename(old, name) != 0)
-            err_add(e, "the earlier result is in %s", old);
-    }
-    if (!rc && had)
-        gradient_remove_folder(old);
-    if (rc)
-        gradient_remove_folder(part);
+        rc = gradient_write_file(out.part, &gradient_files[i], raw, planes, g, e);
+    if (!rc)
+        rc = outdir_commit(&out, e);
+    outdir_abort(&out);
     return rc;
 }
 

@@ -46,23 +46,6 @@ struct splats_file {
 
 /* ---- the .ply ---- */
 
-static enum err_code write_bytes(const struct splats_file *f, const void *bytes, size_t n,
-                                 uint64_t at, struct err *e)
-{
-    const char *p = bytes;
-    while (n > 0) {
-        ssize_t put = pwrite(f->fd, p, n, (off_t)at);
-        if (put < 0 && errno == EINTR)
-            continue;
-        if (put <= 0)
-            return err_errno(e, ERR_IO, "%s: cannot write", f->path);
-        p += put;
-        n -= (size_t)put;
-        at += (uint64_t)put;
-    }
-    return ERR_OK;
-}
-
 static enum err_code write_part(void *user, size_t i, struct err *e)
 {
     struct splats_file *f = user;
@@ -76,7 +59,7 @@ static enum err_code write_part(void *user, size_t i, struct err *e)
                              : err_set(e, ERR_MEM, "splats: out of memory for %zu rows", n);
     if (!rc) {
         ply_encode_rows(&g, f->rows.doubles, bytes);
-        rc = write_bytes(f, bytes, n * row, f->head.size + (uint64_t)first * row, e);
+        rc = file_write_at(f->fd, f->path, bytes, n * row, f->head.size + (uint64_t)first * row, e);
     }
     gauss_free(&g);
     mem_free(bytes);
@@ -148,7 +131,7 @@ static enum err_code write_ply(const struct synth_splats_options *o,
     if (!rc && fallocate(f.fd, 0, 0, (off_t)size) && errno == ENOSPC)
         rc = err_errno(e, ERR_IO, "%s: no room for its %.1f GB", f.path, (double)size / 1e9);
     if (!rc)
-        rc = write_bytes(&f, f.head.data, f.head.size, 0, e);
+        rc = file_write_at(f.fd, f.path, f.head.data, f.head.size, 0, e);
     if (!rc) {
         progress_start(&f.progress, "splats: Gaussians", f.rows.n);
         rc = pool_for(parts, 0, write_part, &f, e);

@@ -5,7 +5,6 @@
 #include "lod/make/edit.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "codec/container/seen.h"
@@ -156,32 +155,13 @@ enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, ui
 
 /* ---- writing ---- */
 
-static enum err_code edit_sort(struct gauss *g, struct err *e)
-{
-    struct gauss sorted = {0};
-    uint32_t *order = mem_array(g->n, sizeof *order);
-    enum err_code rc =
-        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "out of memory for a tile");
-    if (!rc)
-        rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
-    if (!rc) {
-        memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof sorted.origin_enu_m);
-        sorted.antialiased = g->antialiased;
-        rc = gauss_append(&sorted, g, order, g->n, e);
-    }
-    mem_free(order);
-    gauss_free(g);
-    *g = sorted;
-    return rc;
-}
-
 enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e)
 {
     struct gauss *g = &t->g;
     if (t->settled || g->n == 0)
         return ERR_OK;
     d->n_far += pyramid_fit(g, pyramid_reach_m(d->meta.origin.lat_deg, t->key.z));
-    enum err_code rc = edit_sort(g, e);
+    enum err_code rc = gauss_sort(g, e);
     if (!rc && d->max_per_tile && g->n > d->max_per_tile && !t->whole) {
         struct gauss less;
         rc = simplify_gauss(g, d->max_per_tile, &less, e);

@@ -173,7 +173,8 @@ static void pyramid_sort_nodes(struct pyramid_zoom *l)
     l->n = n;
 }
 
-const struct pyramid_node *pyramid_find(const struct pyramid *p, uint8_t z, uint64_t code)
+/* NULL: there is none. */
+static const struct pyramid_node *pyramid_find(const struct pyramid *p, uint8_t z, uint64_t code)
 {
     const struct pyramid_zoom *l = &p->zoom[z];
     size_t lo = 0, hi = l->n;

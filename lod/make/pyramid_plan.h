@@ -96,8 +96,6 @@ bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z);
 /* Plans the zoom above z, whose tiles are simplified from those below. Returns false if z is the
  * top. */
 bool pyramid_plan_up(struct pyramid *p, uint8_t z, enum err_code *rc, struct err *e);
-/* NULL: there is none. */
-const struct pyramid_node *pyramid_find(const struct pyramid *p, uint8_t z, uint64_t code);
 /* Appends a job. ERR_MEM. */
 enum err_code pyramid_add_job(struct pyramid *p, struct pyramid_job job, struct err *e) ERR_USE;
 

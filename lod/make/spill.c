@@ -4,7 +4,6 @@
  */
 #include "lod/make/spill.h"
 
-#include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
 #include <string.h>
@@ -109,23 +108,6 @@ void spill_unpack(const struct spill *s, const struct spill_run *r, const void *
         memset(embed + r->embed_len, 0, (g->embed_len - r->embed_len) * sizeof *rest);
 }
 
-static enum err_code spill_write_at(struct spill *s, const void *bytes, size_t n, uint64_t at,
-                                    struct err *e)
-{
-    const char *p = bytes;
-    while (n > 0) {
-        ssize_t put = pwrite(s->fd, p, n, (off_t)at);
-        if (put < 0 && errno == EINTR)
-            continue;
-        if (put <= 0)
-            return err_errno(e, ERR_IO, "%s: cannot write the rows in between", s->near);
-        p += put;
-        n -= (size_t)put;
-        at += (uint64_t)put;
-    }
-    return ERR_OK;
-}
-
 static void spill_soon(const struct gauss *g, size_t i)
 {
     const size_t n_sh = 3 * gauss_sh_count(g->sh_degree);
@@ -160,35 +142,17 @@ enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sor
                 spill_soon(g, order[i + SPILL_SOON].row);
             spill_pack(s, g, order ? order[i].row : i, block + (i - at) * row);
         }
-        rc = spill_write_at(s, block, (end - at) * row, run->offset + at * row, e);
+        rc = file_write_at(s->fd, s->near, block, (end - at) * row, run->offset + at * row, e);
     }
     mem_free(block);
     return rc;
-}
-
-static enum err_code spill_read_at(const struct spill *s, void *out, size_t n, uint64_t at,
-                                   struct err *e)
-{
-    char *p = out;
-    while (n > 0) {
-        ssize_t got = pread(s->fd, p, n, (off_t)at);
-        if (got < 0 && errno == EINTR)
-            continue;
-        if (got <= 0)
-            return got < 0 ? err_errno(e, ERR_IO, "%s: cannot read the rows in between", s->near)
-                           : err_set(e, ERR_IO, "%s: the rows in between end early", s->near);
-        p += got;
-        n -= (size_t)got;
-        at += (uint64_t)got;
-    }
-    return ERR_OK;
 }
 
 enum err_code spill_read(const struct spill *s, const struct spill_run *r, size_t from, size_t to,
                          void *out, struct err *e)
 {
     size_t row = spill_row_bytes(s, r);
-    return spill_read_at(s, out, (to - from) * row, r->offset + from * row, e);
+    return file_read_at(s->fd, s->near, out, (to - from) * row, r->offset + from * row, e);
 }
 
 /* ---- the index ---- */
@@ -238,7 +202,7 @@ static enum err_code spill_code(const struct spill *s, const struct spill_run *r
     double enu[3];
     struct key k;
     enum err_code rc =
-        spill_read_at(s, mean, sizeof mean, r->offset + row * spill_row_bytes(s, r), e);
+        file_read_at(s->fd, s->near, mean, sizeof mean, r->offset + row * spill_row_bytes(s, r), e);
     for (size_t a = 0; a < 3; a++)
         enu[a] = rc ? 0.0 : (double)mean[a] + r->origin_enu_m[a];
     if (!rc)

@@ -55,18 +55,18 @@ enum err_code spill_index(struct spill_run *run, const struct sort_item *items, 
 enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sort_item *order,
                         size_t n, struct spill_run *run, struct err *e) ERR_USE;
 /* Reads rows [from, to) of a run, spill_row_bytes each. A row begins with its mean in float32.
- * ERR_IO. */
+ * ERR_IO, ERR_FORMAT: the file was cut. */
 enum err_code spill_read(const struct spill *s, const struct spill_run *r, size_t from, size_t to,
                          void *out, struct err *e) ERR_USE;
 /* Writes all of a row except its mean to row i of g. g may have a higher degree and a longer
  * embedding; the rest becomes 0. */
 void spill_unpack(const struct spill *s, const struct spill_run *r, const void *row,
                   struct gauss *g, size_t i);
-/* Finds the rows with first <= code < last. ERR_IO. */
+/* Finds the rows with first <= code < last. ERR_IO, ERR_FORMAT. */
 enum err_code spill_slice(const struct spill *s, const struct spill_run *r, uint64_t first,
                           uint64_t last, size_t *from, size_t *to, struct err *e) ERR_USE;
 /* Writes the code of row `from` without its last `shift` bits (shifted right by them) to *code, and
- * the end of the rows that share it to *to. The run has an index. ERR_IO. */
+ * the end of the rows that share it to *to. The run has an index. ERR_IO, ERR_FORMAT. */
 enum err_code spill_tile(const struct spill *s, const struct spill_run *r, unsigned shift,
                          size_t from, uint64_t *code, size_t *to, struct err *e) ERR_USE;
 void spill_run_free(struct spill_run *r);

@@ -213,7 +213,7 @@ enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e)
     return rc == ERR_NOENT ? ERR_OK : rc;
 }
 
-enum err_code bake_apply(struct store *s, const float *image, struct gauss *g, struct err *e)
+static enum err_code bake_apply(struct store *s, const float *image, struct gauss *g, struct err *e)
 {
     const struct appearance *a;
     enum err_code rc = bake_of(s, &a, e);
@@ -243,7 +243,7 @@ static enum err_code bake_find_one(const struct bake *b, const char *text, size_
                                    double *weight, struct err *e)
 {
     const struct appearance *a = &b->model;
-    char name[APPEARANCE_NAME_MAX + 32], *end;
+    char name[APPEARANCE_NAME_MAX + 32];
     if (n >= sizeof name)
         return err_set(e, ERR_NOENT, "no photograph has a name of %zu bytes", n);
     memcpy(name, text, n);
@@ -252,8 +252,7 @@ static enum err_code bake_find_one(const struct bake *b, const char *text, size_
     char *colon = strrchr(name, ':');
     *weight = 1.0;
     if (at < 0 && colon) {
-        *weight = strtod(colon + 1, &end);
-        if (end == colon + 1 || *end || !isfinite(*weight))
+        if (!number_list(colon + 1, 1, weight))
             return err_set(e, ERR_ARG, "'%s': a number is expected after the last ':'", name);
         *colon = '\0';
         at = bake_row(b, name);
@@ -267,48 +266,18 @@ static enum err_code bake_find_one(const struct bake *b, const char *text, size_
     return ERR_OK;
 }
 
-static const char bake_digits[] =
-    "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
-
-void bake_base64(const float *v, size_t n, char *out)
-{
-    uint32_t bits = 0;
-    int n_bits = 0;
-    for (size_t i = 0; i < 4 * n; i++) {
-        uint32_t word;
-        memcpy(&word, &v[i / 4], sizeof word);
-        bits = bits << 8 | (word >> 8 * (i % 4) & 255);
-        for (n_bits += 8; n_bits >= 6; n_bits -= 6)
-            *out++ = bake_digits[bits >> (n_bits - 6) & 63];
-    }
-    if (n_bits)
-        *out++ = bake_digits[bits << (6 - n_bits) & 63];
-    *out = '\0';
-}
-
 void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX])
 {
     out[0] = '=';
-    bake_base64(image, len_image, out + 1);
+    base64_write(image, len_image * sizeof *image, BASE64_URL, out + 1);
 }
 
 /* What bake_text wrote; `text` begins behind the "=". */
 static enum err_code bake_untext(const char *text, uint32_t len_image, float *image, struct err *e)
 {
     uint8_t bytes[4 * APPEARANCE_IMAGE_MAX];
-    uint32_t bits = 0, want = 4 * len_image, n = 0;
-    int n_bits = 0;
-    bool good = strlen(text) == (4 * want + 2) / 3;
-    for (; good && *text; text++) {
-        const char *at = strchr(bake_digits, *text);
-        good = at != NULL;
-        bits = bits << 6 | (good ? (uint32_t)(at - bake_digits) : 0);
-        n_bits += 6;
-        if (n_bits >= 8 && n < want) {
-            n_bits -= 8;
-            bytes[n++] = (uint8_t)(bits >> n_bits);
-        }
-    }
+    const uint32_t want = 4 * len_image;
+    bool good = base64_read(text, bytes, want);
     for (uint32_t i = 0; good && i < len_image; i++) {
         const uint8_t *b = bytes + 4 * (size_t)i;
         uint32_t word = b[0] | (uint32_t)b[1] << 8 | (uint32_t)b[2] << 16 | (uint32_t)b[3] << 24;

@@ -39,23 +39,12 @@ enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR
  * ERR_NOENT: there is no such photograph, or the store has no appearance. ERR_ARG: the text is
  * invalid. ERR_FORMAT, ERR_IO, ERR_MEM as in bake_of. */
 enum err_code bake_find(struct store *s, const char *text, float *image, struct err *e) ERR_USE;
-/* Writes little-endian float32 values as base64url without padding (RFC 4648), bake_base64_size(n)
- * bytes with the NUL. */
-static inline size_t bake_base64_size(size_t n)
-{
-    return (16 * n + 2) / 3 + 1;
-}
-void bake_base64(const float *v, size_t n, char *out);
-/* Writes an embedding as text: "=" and its values by bake_base64. */
+/* Writes an embedding as text: "=" and its values, little-endian float32, by base64_write. */
 enum { BAKE_TEXT_MAX = 2 + (4 * 4 * APPEARANCE_IMAGE_MAX + 2) / 3 };
 void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX]);
-/* Changes colours and opacities of g to an appearance [len_image] (NULL: the default one). It does
- * nothing if the store has none. g has the store's embeddings. ERR_DATA (other embeddings),
- * ERR_FORMAT, ERR_IO, ERR_MEM. */
-enum err_code bake_apply(struct store *s, const float *image, struct gauss *g,
-                         struct err *e) ERR_USE;
-/* As store_read_gauss followed by bake_apply, with the errors of both. Free *out with gauss_free.
- * ERR_NOENT (no such tile), ERR_DATA, ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* As store_read_gauss, with colours and opacities of an appearance [len_image]; NULL: the default
+ * one. A store without appearances has one only. Free *out with gauss_free. ERR_NOENT (no such
+ * tile), ERR_DATA (other embeddings), ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code bake_read(struct store *s, struct key k, const float *image, struct gauss *out,
                         struct err *e) ERR_USE;
 /* Reads all Gaussians of the cut through the tree at `zoom`: tiles of that zoom, and leaves above

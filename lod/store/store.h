@@ -154,13 +154,10 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
                                struct err *e) ERR_USE;
-/* Decodes bytes that store_read gave for `t`. The store is only read, so threads may share it. It
- * uses no more memory than a tile of t->count Gaussians needs. ERR_FORMAT: it is no payload, or its
- * count, degree or embedding differ from index and meta. ERR_MEM. */
-enum err_code store_decode(const struct store *s, const struct store_tile *t,
-                           const struct buf *bytes, struct gauss *out, struct err *e) ERR_USE;
-/* As store_decode, but *out is unpacked alone: see codec/splat/payload.h. It keeps its memory from
- * call to call. ERR_FORMAT, ERR_MEM. */
+/* Unpacks bytes that store_read gave for `t`: see codec/splat/payload.h. *out keeps its memory from
+ * call to call. The store is only read, so threads may share it. It uses no more memory than a tile
+ * of t->count Gaussians needs. ERR_FORMAT: it is no payload, or its count, degree or embedding
+ * differ from index and meta. ERR_MEM. */
 enum err_code store_unpack(const struct store *s, const struct store_tile *t,
                            const struct buf *bytes, struct payload *out, struct err *e) ERR_USE;
 /* Adds the names of the store and of the tile to an error, whose code it returns. ERR_FORMAT,

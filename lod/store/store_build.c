@@ -7,12 +7,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <dirent.h>
-#include <errno.h>
 #include <math.h>
-#include <signal.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
@@ -62,37 +58,13 @@ static enum err_code store_exec(struct store *s, const char *sql, const char *wh
     return code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, what, e);
 }
 
-/* A process that is killed leaves what it was writing beside the store: say so, once it is gone. */
-static void store_tell_leftovers(const struct store *s)
-{
-    char dir[FILE_PATH_MAX];
-    memcpy(dir, s->path, strlen(s->path) + 1);
-    char *slash = strrchr(dir, '/');
-    const char *name = slash ? s->path + (slash - dir) + 1 : s->path;
-    if (slash)
-        *slash = '\0';
-    DIR *d = opendir(!slash ? "." : *dir ? dir : "/");
-    for (struct dirent *ent; d && (ent = readdir(d));) {
-        size_t n = strlen(name);
-        char *end = NULL;
-        if (strncmp(ent->d_name, name, n) || strncmp(ent->d_name + n, ".part-", 6))
-            continue;
-        long pid = strtol(ent->d_name + n + 6, &end, 10);
-        if (pid > 0 && !*end && kill((pid_t)pid, 0) && errno == ESRCH)
-            log_warn("store", "%s%s%s was left by a run that was killed: delete it",
-                     slash ? dir : "", slash ? "/" : "", ent->d_name);
-    }
-    if (d)
-        closedir(d);
-}
-
 static enum err_code store_start(struct store *s, struct err *e)
 {
     enum err_code rc = file_begin(s->path, s->part, e);
     if (rc)
         return rc;
     file_abort(s->part); /* a leftover of a killed process with our id */
-    store_tell_leftovers(s);
+    file_sweep(s->path);
     int code = sqlite3_open_v2(
         s->part, &s->db, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
     if (code != SQLITE_OK)

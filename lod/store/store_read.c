@@ -152,12 +152,11 @@ static enum err_code store_meta_text(struct store *s, sqlite3_stmt *q, const cha
 static enum err_code store_meta_num(struct store *s, sqlite3_stmt *q, const char *key, double lo,
                                     double hi, double *out, struct err *e)
 {
-    char text[64], *end = text;
+    char text[64];
     enum err_code rc = store_meta_text(s, q, key, text, sizeof text, e);
     if (rc)
         return rc;
-    *out = strtod(text, &end);
-    if (end == text || *end || !(*out >= lo && *out <= hi))
+    if (!number_list(text, 1, out) || !(*out >= lo && *out <= hi))
         return err_set(e, ERR_FORMAT, "%s: meta: %s is '%s', a number from %g to %g is expected",
                        s->path, key, text, lo, hi);
     return ERR_OK;
@@ -216,9 +215,9 @@ static enum err_code store_meta_pixels(struct store *s, sqlite3_stmt *q, struct 
     if (rc)
         return rc;
     while (text && *text && n < STORE_LEVEL_MAX) {
-        char *end = NULL;
-        const double v = strtod(text, &end);
-        if (end == text || !(v >= 0.0 && v < STORE_PIXEL_MOST_M))
+        const char *end = text;
+        double v;
+        if (!number_read(&end, &v) || !(v >= 0.0 && v < STORE_PIXEL_MOST_M))
             break;
         m->pixel_m[n++] = v;
         text = end + (*end == ' ');
@@ -651,8 +650,8 @@ enum err_code store_unpack(const struct store *s, const struct store_tile *t,
     return store_name_tile(s, t, e);
 }
 
-enum err_code store_decode(const struct store *s, const struct store_tile *t,
-                           const struct buf *bytes, struct gauss *out, struct err *e)
+static enum err_code store_decode(const struct store *s, const struct store_tile *t,
+                                  const struct buf *bytes, struct gauss *out, struct err *e)
 {
     struct payload p = {0};
     *out = (struct gauss){0};

@@ -46,7 +46,7 @@ static enum err_code fit_no_memory(struct err *e)
 
 /* ---- the frame ---- */
 
-double gcp_fit_height(const struct gcp_fit_config *cfg, const struct gcp *g)
+static double gcp_fit_height(const struct gcp_fit_config *cfg, const struct gcp *g)
 {
     double sea = cfg->geoid ? geoid_above(cfg->geoid, g->at[0], g->at[1]) : 0;
     return g->at[2] + cfg->height_offset_m + (isfinite(sea) ? sea : 0);

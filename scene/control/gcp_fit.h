@@ -87,7 +87,5 @@ enum err_code gcp_blame_gps(struct gcp_fit *f, const struct gcp_view *views, siz
                             struct err *e) ERR_USE;
 /* Finds the causes of suspects. y [list.n]: their surveyed places in f's frame. ERR_ARG. */
 enum err_code gcp_blame_suspects(struct gcp_fit *f, const double (*y)[3], struct err *e) ERR_USE;
-/* Returns the height of a point of the list, with the offset and the geoid added. */
-double gcp_fit_height(const struct gcp_fit_config *cfg, const struct gcp *g);
 
 #endif

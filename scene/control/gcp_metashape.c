@@ -5,7 +5,6 @@
 #include "scene/control/gcp_metashape.h"
 
 #include <expat.h>
-#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -62,11 +61,7 @@ static const char *metashape_text(const char **att, const char *name)
 static bool metashape_number(const char **att, const char *name, double *out)
 {
     const char *text = metashape_text(att, name);
-    char *end;
-    if (!text)
-        return false;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out);
+    return text && number_list(text, 1, out);
 }
 
 static bool metashape_id(const char **att, const char *name, long long *out)

@@ -7,7 +7,6 @@
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 
@@ -211,9 +210,7 @@ void table_heading(const char *field, char out[TABLE_HEADING])
 
 bool table_number(const char *text, double *out)
 {
-    char *end;
-    *out = strtod(text, &end);
-    return end != text && !*end && isfinite(*out) && fabs(*out) <= 1e12;
+    return number_list(text, 1, out) && fabs(*out) <= 1e12;
 }
 
 size_t table_decimal_comma(const char *line, const char **at)

@@ -26,7 +26,8 @@ static bool files_skip_folder(const char *path, const char *name)
     return file_join(marker, path, "scene.json", NULL) || file_exists(marker);
 }
 
-bool ingest_files_is_photo(const char *name)
+/* Whether a name ends like that of a photograph, and not like that of a mask. */
+static bool ingest_files_is_photo(const char *name)
 {
     static const char *const endings[] = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp"};
     const char *dot = strrchr(name, '.');

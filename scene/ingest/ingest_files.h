@@ -20,7 +20,5 @@ void ingest_files_free(struct ingest_files *f);
 /* Returns the file of a name. Case, the direction of slashes and the form of letters with accents
  * may differ if only one file fits. NULL: there is none. */
 const char *ingest_files_find(const struct ingest_files *f, const char *name);
-/* Returns whether a name ends like that of a photograph, and not like that of a mask. */
-bool ingest_files_is_photo(const char *name);
 
 #endif

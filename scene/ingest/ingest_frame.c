@@ -29,9 +29,10 @@ static enum err_code frame_no_memory(struct err *e)
 
 enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct err *e)
 {
-    char rest;
-    if (sscanf(text, "%lf,%lf,%lf%c", &o->lon_deg, &o->lat_deg, &o->h_m, &rest) != 3 ||
-        !(fabs(o->lon_deg) <= 180) || !(fabs(o->lat_deg) <= 90) || !(fabs(o->h_m) < 1e5))
+    double v[3] = {0};
+    const bool good = number_list(text, 3, v);
+    *o = (struct geo_origin){v[0], v[1], v[2]};
+    if (!good || !(fabs(o->lon_deg) <= 180) || !(fabs(o->lat_deg) <= 90) || !(fabs(o->h_m) < 1e5))
         return err_set(e, ERR_ARG, "--origin: '%.80s' is not LON,LAT,H in degrees and metres",
                        text);
     return ERR_OK;

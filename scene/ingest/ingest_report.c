@@ -407,11 +407,6 @@ void ingest_report_print(const struct ingest_result *r)
                r->n_models, r->n_second);
 }
 
-static json_t *report_real_or_null(double v)
-{
-    return isfinite(v) ? json_real(v) : json_null();
-}
-
 static json_t *report_photos_to_json(const struct ingest_result *r)
 {
     json_t *list = json_array();
@@ -419,13 +414,12 @@ static json_t *report_photos_to_json(const struct ingest_result *r)
         const struct ingest_photo *p = &r->photos[i];
         char why[160];
         report_verdict_text(r, p, why, sizeof why);
-        json_array_append_new(list, json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:o, s:i}", "name",
-                                              p->image->name, "kept", p->verdict == INGEST_KEPT,
-                                              "why", why, "points", (json_int_t)p->pose.n_points,
-                                              "reprojection_px", p->pose.reprojection_px, "pose_px",
-                                              report_real_or_null(p->pose.picture_px), "residual_m",
-                                              report_real_or_null(p->residual_m), "flight",
-                                              (int)p->flight + 1));
+        json_array_append_new(
+            list, json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:o, s:i}", "name", p->image->name,
+                            "kept", p->verdict == INGEST_KEPT, "why", why, "points",
+                            (json_int_t)p->pose.n_points, "reprojection_px",
+                            p->pose.reprojection_px, "pose_px", jsonc_real(p->pose.picture_px),
+                            "residual_m", jsonc_real(p->residual_m), "flight", (int)p->flight + 1));
     }
     return list;
 }
@@ -479,8 +473,8 @@ static json_t *report_gimbal_to_json(const struct ingest_gimbal *m)
 
 static json_t *report_rmse(size_t n, const double m[2])
 {
-    return json_pack("{s:I, s:o, s:o}", "points", (json_int_t)n, "rmse_plan_m",
-                     report_real_or_null(m[0]), "rmse_height_m", report_real_or_null(m[1]));
+    return json_pack("{s:I, s:o, s:o}", "points", (json_int_t)n, "rmse_plan_m", jsonc_real(m[0]),
+                     "rmse_height_m", jsonc_real(m[1]));
 }
 
 static json_t *report_marks_to_json(const struct gcp_fit *f, size_t i)
@@ -489,13 +483,13 @@ static json_t *report_marks_to_json(const struct gcp_fit *f, size_t i)
     const struct gcp_place *p = &f->at.places[i];
     for (size_t k = p->first; k < p->first + p->n; k++) {
         const struct gcp_sight *s = &f->at.sights[k];
-        json_array_append_new(
-            list, json_pack("{s:s, s:I, s:f, s:o, s:o, s:o, s:b, s:b}", "photograph",
-                            s->mark->image, "line", (json_int_t)s->mark->line, "residual_px",
-                            s->residual_px, "left_out_px", report_real_or_null(s->out_px),
-                            "left_out_sigmas", report_real_or_null(s->out_sigmas), "moves_point_m",
-                            report_real_or_null(s->moves * f->sim.scale), "suspect", s->suspect,
-                            "counts", s->used));
+        json_array_append_new(list, json_pack("{s:s, s:I, s:f, s:o, s:o, s:o, s:b, s:b}",
+                                              "photograph", s->mark->image, "line",
+                                              (json_int_t)s->mark->line, "residual_px",
+                                              s->residual_px, "left_out_px", jsonc_real(s->out_px),
+                                              "left_out_sigmas", jsonc_real(s->out_sigmas),
+                                              "moves_point_m", jsonc_real(s->moves * f->sim.scale),
+                                              "suspect", s->suspect, "counts", s->used));
     }
     return list;
 }
@@ -517,14 +511,13 @@ static json_t *report_point_to_json(const struct gcp_fit *f, size_t i)
         return o;
     json_object_set_new(o, "gsd_m", json_real(p->gsd_m));
     json_object_set_new(o, "weight", json_real(p->weight));
-    json_object_set_new(o, "influence_m", report_real_or_null(p->influence_m));
+    json_object_set_new(o, "influence_m", jsonc_real(p->influence_m));
     json_object_set_new(
         o, g->check ? "as_check" : "left_out",
-        json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "east_m", report_real_or_null(l->residual_m[0]),
-                  "north_m", report_real_or_null(l->residual_m[1]), "up_m",
-                  report_real_or_null(l->residual_m[2]), "sigma_axis_m",
-                  report_real_or_null(l->sigma_m[0]), "sigma_height_m",
-                  report_real_or_null(l->sigma_m[1]), "sigmas", report_real_or_null(l->sigmas)));
+        json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "east_m", jsonc_real(l->residual_m[0]),
+                  "north_m", jsonc_real(l->residual_m[1]), "up_m", jsonc_real(l->residual_m[2]),
+                  "sigma_axis_m", jsonc_real(l->sigma_m[0]), "sigma_height_m",
+                  jsonc_real(l->sigma_m[1]), "sigmas", jsonc_real(l->sigmas)));
     json_object_set_new(o, "suspect", json_boolean(p->suspect));
     json_object_set_new(o, "cause", p->cause[0] ? json_string(p->cause) : json_null());
     json_object_set_new(o, "marks", report_marks_to_json(f, i));
@@ -549,15 +542,14 @@ static json_t *report_gcp_to_json(const struct gcp_fit *f)
     for (size_t i = 0; i < f->list->n; i++)
         json_array_append_new(list, report_point_to_json(f, i));
     json_object_set_new(control, "redundancy", json_integer(f->redundancy));
-    json_object_set_new(check, "expected_plan_m", report_real_or_null(f->check_expected_m[0]));
-    json_object_set_new(check, "expected_height_m", report_real_or_null(f->check_expected_m[1]));
+    json_object_set_new(check, "expected_plan_m", jsonc_real(f->check_expected_m[0]));
+    json_object_set_new(check, "expected_height_m", jsonc_real(f->check_expected_m[1]));
     return json_pack("{s:o, s:o, s:o, s:o, s:f, s:f, s:I, s:I, s:I, s:o, s:o}", "control", control,
-                     "check", check, "frame_plan_m", report_real_or_null(f->frame_m[0]),
-                     "frame_height_m", report_real_or_null(f->frame_m[1]), "contradiction",
-                     f->factor, "marks_factor", f->at.factor, "suspects", (json_int_t)f->n_suspects,
-                     "mark_suspects", (json_int_t)f->n_mark_suspects, "marks_lost",
-                     (json_int_t)f->at.n_lost, "gps", report_gcp_gps_to_json(&f->gps), "points",
-                     list);
+                     "check", check, "frame_plan_m", jsonc_real(f->frame_m[0]), "frame_height_m",
+                     jsonc_real(f->frame_m[1]), "contradiction", f->factor, "marks_factor",
+                     f->at.factor, "suspects", (json_int_t)f->n_suspects, "mark_suspects",
+                     (json_int_t)f->n_mark_suspects, "marks_lost", (json_int_t)f->at.n_lost, "gps",
+                     report_gcp_gps_to_json(&f->gps), "points", list);
 }
 
 /* `to` as seen from the folder `from`, both without links. */

@@ -114,8 +114,7 @@ static inline size_t sweep_upright_planes(const struct sweep_input *in)
     return in->planes / SWEEP_WALL_EVERY + 1 + 2 * (size_t)SWEEP_WALL_MORE;
 }
 
-/* Reference in double on the host. cost [h][w][planes]. ERR_MEM. */
-void sweep_ref_cost(const struct sweep_input *in, double *cost);
+/* Reference in double on the host. ERR_MEM. */
 enum err_code sweep_ref_run(const struct sweep_input *in, double *plane, double *score,
                             struct err *e) ERR_USE;
 #endif

@@ -112,7 +112,8 @@ static void sweep_ref_walls(const struct sweep_input *in, int x, int y, double *
     }
 }
 
-void sweep_ref_cost(const struct sweep_input *in, double *cost)
+/* cost [h][w][planes] */
+static void sweep_ref_cost(const struct sweep_input *in, double *cost)
 {
     size_t w = in->ref.cam.width_px, n = w * in->ref.cam.height_px;
     for (size_t i = 0; i < n; i++) {

@@ -13,7 +13,6 @@
 
 #include <jansson.h>
 #include <nettle/base16.h>
-#include <nettle/base64.h>
 #include <nettle/hmac.h>
 #include <nettle/memops.h>
 #include <nettle/sha2.h>
@@ -23,7 +22,7 @@
 #include <strings.h>
 
 enum { AUTH_MAX = 256, AUTH_KEY_MIN = 32, AUTH_KEY_MAX = 256, AUTH_NAME = 64, AUTH_SCOPES = 16 };
-enum { AUTH_SCOPE_TEXT = AUTH_NAME + 8, AUTH_SIG = BASE64_ENCODE_RAW_LENGTH(SHA256_DIGEST_SIZE) };
+enum { AUTH_SCOPE_TEXT = AUTH_NAME + 8, AUTH_SIG = (SHA256_DIGEST_SIZE + 2) / 3 * 4 };
 enum { AUTH_AGE_S = 30 * 86400, AUTH_AGE_MAX_S = 366 * 86400, AUTH_SESSION_S = 12 * 3600 };
 enum { AUTH_SKEW_S = 60 }; /* clocks of who signs and who checks may differ by so much */
 enum { AUTH_TOKEN_ID = 16, AUTH_PARTS = 5 };
@@ -343,10 +342,7 @@ static void auth_mac(const struct auth_key *k, struct auth_part what, int64_t ex
     hmac_sha256_update(&h, what.n, (const uint8_t *)what.p);
     hmac_sha256_update(&h, (size_t)n, (const uint8_t *)when);
     hmac_sha256_digest(&h, sizeof digest, digest);
-    base64_encode_raw(out, sizeof digest, digest);
-    for (char *p = out; p < out + AUTH_SIG; p++)
-        *p = *p == '+' ? '-' : *p == '/' ? '_' : *p;
-    out[AUTH_SIG - 1] = '\0'; /* 43 characters; the 44th is padding */
+    base64_write(digest, sizeof digest, BASE64_URL, out);
 }
 
 static bool auth_read_time(struct auth_part t, int64_t *out)

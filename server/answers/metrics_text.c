@@ -180,10 +180,61 @@ static void metrics_text_disk(struct services *s, struct buf *out)
     metrics_text_one(out, "disk_cache_bytes", "gauge", "Bytes held.", st.bytes);
 }
 
+static void metrics_text_streams(struct services *s, struct buf *out)
+{
+    struct view_stream_counts streams;
+    view_stream_count(s->view_streams, &streams);
+    metrics_text_one(out, "streams", "gauge", "Streams of pictures that are open.",
+                     streams.streams);
+    metrics_text_one(out, "stream_pictures_total", "counter", "Pictures of streams.",
+                     streams.pictures);
+    metrics_text_one(out, "stream_full_pictures_total", "counter",
+                     "Those drawn in full, of cameras at rest.", streams.full);
+    metrics_text_one(out, "stream_encoders", "gauge", "Encoders of streams as video, open now.",
+                     streams.encoders);
+    metrics_text_one(out, "stream_encoder_bytes", "gauge", "Memory that they may take.",
+                     streams.encoder_bytes);
+    metrics_text_one(out, "stream_frames_total", "counter", "Pictures of streams that are video.",
+                     streams.frames);
+    metrics_text_one(out, "stream_encode_milliseconds_total", "counter",
+                     "Time to encode these, without drawing.", (uint64_t)(streams.encode_s * 1e3));
+}
+
+/* The cache, and all else that holds answers. */
+static void metrics_text_memory(struct services *s, struct buf *out)
+{
+    struct cache_stats cs;
+    cache_count(s->cache, &cs);
+    metrics_text_one(out, "cache_hits_total", "counter", "Lookups that found encoded bytes.",
+                     cs.hits);
+    metrics_text_one(out, "cache_misses_total", "counter", "Lookups that did not.", cs.misses);
+    metrics_text_one(out, "cache_evictions_total", "counter", "Entries that made room.",
+                     cs.evictions);
+    metrics_text_one(out, "inflight_bytes", "gauge",
+                     "Bytes of answers that are made or sent and not in the cache.",
+                     live_bodies_held(s->live_bodies, cache_bytes(s->cache)));
+    metrics_text_one(out, "inflight_limit_bytes", "gauge", "Above it answers are refused.",
+                     live_bodies_limit(s->live_bodies));
+    metrics_text_one(out, "memory_budget_bytes", "gauge", "--memory.", s->plan.budget);
+    metrics_text_one(out, "memory_held_bytes", "gauge",
+                     "Memory of the server and its drawing process that cannot be dropped.",
+                     services_held_bytes(s));
+    if (s->plan.budget)
+        metrics_text_real(out, "memory_held_ratio", "Its share of --memory.",
+                          (double)services_held_bytes(s) / (double)s->plan.budget);
+    metrics_text_one(out, "memory_short_total", "counter",
+                     "Answers refused because memory ran out.",
+                     atomic_load(&s->metrics.memory_short));
+    metrics_text_one(out, "live_bytes", "gauge",
+                     "Bytes of live answers, those in the cache among them.",
+                     live_bodies_bytes(s->live_bodies));
+    metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
+    metrics_text_one(out, "cache_bytes", "gauge", "Bytes held.", cs.bytes);
+}
+
 enum err_code metrics_text_write(struct services *s, struct buf *out, struct err *e)
 {
     struct metrics *m = &s->metrics;
-    struct cache_stats cs;
     metrics_text_requests(s->routes, m, out);
     metrics_text_one(out, "http_response_bytes_total", "counter", "Bytes of bodies.",
                      atomic_load(&m->response_bytes));
@@ -205,49 +256,10 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      "Tiles that could not be read or encoded.", atomic_load(&m->store_errors));
     metrics_text_one(out, "reload_failed_total", "counter", "Reloads that kept the old data.",
                      atomic_load(&m->reload_failed));
-    struct view_stream_counts streams;
-    view_stream_count(s->view_streams, &streams);
-    metrics_text_one(out, "streams", "gauge", "Streams of pictures that are open.",
-                     streams.streams);
-    metrics_text_one(out, "stream_pictures_total", "counter", "Pictures of streams.",
-                     streams.pictures);
-    metrics_text_one(out, "stream_full_pictures_total", "counter",
-                     "Those drawn in full, of cameras at rest.", streams.full);
-    metrics_text_one(out, "stream_encoders", "gauge", "Encoders of streams as video, open now.",
-                     streams.encoders);
-    metrics_text_one(out, "stream_encoder_bytes", "gauge", "Memory that they may take.",
-                     streams.encoder_bytes);
-    metrics_text_one(out, "stream_frames_total", "counter", "Pictures of streams that are video.",
-                     streams.frames);
-    metrics_text_one(out, "stream_encode_milliseconds_total", "counter",
-                     "Time to encode these, without drawing.", (uint64_t)(streams.encode_s * 1e3));
+    metrics_text_streams(s, out);
     if (s->picture)
         metrics_text_drawing(s, out);
-    cache_count(s->cache, &cs);
-    metrics_text_one(out, "cache_hits_total", "counter", "Lookups that found encoded bytes.",
-                     cs.hits);
-    metrics_text_one(out, "cache_misses_total", "counter", "Lookups that did not.", cs.misses);
-    metrics_text_one(out, "cache_evictions_total", "counter", "Entries that made room.",
-                     cs.evictions);
-    metrics_text_one(out, "inflight_bytes", "gauge",
-                     "Bytes of answers that are made or sent and not in the cache.",
-                     live_bodies_held(s->live_bodies, cache_bytes(s->cache)));
-    metrics_text_one(out, "inflight_limit_bytes", "gauge", "Above it answers are refused.",
-                     live_bodies_limit(s->live_bodies));
-    metrics_text_one(out, "memory_budget_bytes", "gauge", "--memory.", s->plan.budget);
-    metrics_text_one(out, "memory_held_bytes", "gauge",
-                     "Memory of the server and its drawing process that cannot be dropped.",
-                     services_held_bytes(s));
-    if (s->plan.budget)
-        metrics_text_real(out, "memory_held_ratio", "Its share of --memory.",
-                          (double)services_held_bytes(s) / (double)s->plan.budget);
-    metrics_text_one(out, "memory_short_total", "counter",
-                     "Answers refused because memory ran out.", atomic_load(&m->memory_short));
-    metrics_text_one(out, "live_bytes", "gauge",
-                     "Bytes of live answers, those in the cache among them.",
-                     live_bodies_bytes(s->live_bodies));
-    metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
-    metrics_text_one(out, "cache_bytes", "gauge", "Bytes held.", cs.bytes);
+    metrics_text_memory(s, out);
     if (s->disk)
         metrics_text_disk(s, out);
     if (s->jobs)

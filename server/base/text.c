@@ -16,7 +16,7 @@ bool text_take(struct text *t, const char *word)
     return true;
 }
 
-static int text_hex_value(char c)
+int text_hex(char c)
 {
     return c >= '0' && c <= '9'   ? c - '0'
            : c >= 'a' && c <= 'f' ? c - 'a' + 10
@@ -27,7 +27,7 @@ static int text_hex_value(char c)
 bool text_take_mark(struct text *t, char mark)
 {
     const char *p = t->p;
-    if (t->end - p > 2 && *p == '%' && text_hex_value(p[1]) * 16 + text_hex_value(p[2]) == mark)
+    if (t->end - p > 2 && *p == '%' && text_hex(p[1]) * 16 + text_hex(p[2]) == mark)
         t->p += 3;
     else if (p < t->end && *p == mark)
         t->p++;
@@ -39,7 +39,8 @@ bool text_at_end(const struct text *t)
     return t->p == t->end;
 }
 
-bool text_is_digit(const struct text *t)
+/* Of the next byte. */
+static bool text_is_digit(const struct text *t)
 {
     return t->p < t->end && *t->p >= '0' && *t->p <= '9';
 }
@@ -103,8 +104,8 @@ bool text_take_decoded(struct text *t, char *out, size_t room)
     for (; t->p < t->end; t->p++) {
         char c = *t->p == '+' ? ' ' : *t->p;
         if (c == '%') {
-            int hi = t->end - t->p > 2 ? text_hex_value(t->p[1]) : -1,
-                lo = hi < 0 ? -1 : text_hex_value(t->p[2]);
+            int hi = t->end - t->p > 2 ? text_hex(t->p[1]) : -1,
+                lo = hi < 0 ? -1 : text_hex(t->p[2]);
             if (lo < 0)
                 return false;
             c = (char)(hi * 16 + lo);

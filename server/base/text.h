@@ -18,8 +18,8 @@ struct text { /* the rest to read, borrowed */
 
 bool text_take(struct text *t, const char *word); /* false: t is unchanged */
 bool text_take_mark(struct text *t, char mark);   /* the same; the mark may come as %XX */
+int text_hex(char c);                             /* value of a hexadecimal digit; -1: it is none */
 bool text_at_end(const struct text *t);
-bool text_is_digit(const struct text *t); /* of the next byte */
 /* Reads a natural number of at most 9 digits, without leading zeros. */
 bool text_take_uint(struct text *t, uint32_t *out);
 /* Reads [-]digits[.digits] times 10^scale, rounded half away from zero. It has at most 9 digits

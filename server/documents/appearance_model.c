@@ -19,10 +19,10 @@
 
 static json_t *appearance_model_text(const float *v, size_t n)
 {
-    char *text = mem_array(bake_base64_size(n), 1);
+    char *text = mem_array(base64_room(n * sizeof *v), 1);
     if (!text)
         return NULL;
-    bake_base64(v, n, text);
+    base64_write(v, n * sizeof *v, BASE64_URL, text);
     json_t *o = json_string(text);
     mem_free(text);
     return o;

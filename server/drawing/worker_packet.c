@@ -11,7 +11,6 @@
 #include <poll.h>
 #include <string.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
 enum err_code worker_packet_send(int fd, const struct worker_head *h, const void *bytes, size_t n,
                                  int with, struct err *e)
@@ -64,15 +63,8 @@ enum err_code worker_packet_take(int memory, size_t n, struct buf *out, struct e
     uint8_t *to = n ? buf_grow(out, n) : NULL;
     if (n && !to)
         return err_set(e, ERR_MEM, "out of memory for %zu bytes", n);
-    for (size_t at = 0; at < n;) {
-        ssize_t k = pread(memory, to + at, n - at, (off_t)at);
-        if (k < 0 && errno == EINTR)
-            continue;
-        if (k <= 0) {
-            out->size = had;
-            return err_set(e, ERR_FORMAT, "an answer with bytes missing");
-        }
-        at += (size_t)k;
-    }
-    return ERR_OK;
+    enum err_code rc = n ? file_read_at(memory, "an answer", to, n, 0, e) : ERR_OK;
+    if (rc)
+        out->size = had;
+    return rc;
 }

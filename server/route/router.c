@@ -188,19 +188,11 @@ static const bool router_of_part[256] = {
     ['w'] = 1, ['x'] = 1, ['y'] = 1, ['z'] = 1,
 };
 
-static int router_hex(char c)
-{
-    return c >= '0' && c <= '9'   ? c - '0'
-           : c >= 'A' && c <= 'F' ? c - 'A' + 10
-           : c >= 'a' && c <= 'f' ? c - 'a' + 10
-                                  : -1;
-}
-
 size_t router_unescape(char *text)
 {
     char *to = text, *p = text;
     while (*p && *p != '?') {
-        const int high = *p == '%' ? router_hex(p[1]) : -1, low = high < 0 ? -1 : router_hex(p[2]);
+        const int high = *p == '%' ? text_hex(p[1]) : -1, low = high < 0 ? -1 : text_hex(p[2]);
         const bool plain = low >= 0 && router_of_part[16 * high + low];
         *to++ = plain ? (char)(16 * high + low) : *p;
         p += plain ? 3 : 1;

@@ -322,6 +322,20 @@ refuse "scores of another scene's store" 1 "whole.tiles: its origin lies [0-9]* 
     "$bin" eval "$work/moved" --tiles "$work/whole.tiles" -q
 refuse "a report with a store of another place" 1 "no ground in common" "$work/other.html" \
     "$bin" report "$work/good" --tiles "$work/lone.tiles" -o "$work/other.html" -q
+refuse "an area in hexadecimal" 2 "west,south,east,north" "$work/hex.tif" \
+    "$bin" ortho "$work/whole.tiles" -o "$work/hex.tif" --bbox 0x8,50,9,51 -q
+
+# -- what a killed run leaves, the next one removes -------------------------------------------------------------------
+leftovers() { find "$work" -name 'killed.ply.part-*' | wc -l; }
+sh -c 'ulimit -f 1; exec "$@"' sh "$bin" export "$work/whole.tiles" -o "$work/killed.ply" -q >/dev/null 2>&1
+left=$(leftovers)
+"$bin" export "$work/whole.tiles" -o "$work/killed.ply" -q >"$work/log" 2>&1
+if [ "$left" = 1 ] && [ "$(leftovers)" = 0 ] && [ -e "$work/killed.ply" ]; then
+    passed=$((passed + 1))
+else
+    failed=$((failed + 1))
+    echo "FAIL a killed export: $left parts, and $(leftovers) after the next one"
+fi
 
 # -- the command line -----------------------------------------------------------------------------------------------
 refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x

@@ -25,7 +25,7 @@ void torture_cuts(const struct torture *t, const struct buf *whole, size_t step)
         enum err_code rc = torture_decode(t, whole->data, n, NULL, &e);
         if (rc != ERR_FORMAT)
             fail_msg("%s: cut to %zu of %zu bytes: got %s (%s), want ERR_FORMAT", t->name, n,
-                     whole->size, err_name(rc), e.msg);
+                     whole->size, kit_err(rc), e.msg);
         if (!strstr(e.msg, t->name))
             fail_msg("%s: cut to %zu of %zu bytes: the message does not say whose it is: %s",
                      t->name, n, whole->size, e.msg);
@@ -60,7 +60,7 @@ void torture_flips(const struct torture *t, struct buf *whole, size_t within, ui
             fail_msg("%s: byte %zu of %zu changed from 0x%02x to 0x%02x (seed %llu, try %llu%s): "
                      "got %s (%s)",
                      t->name, at, whole->size, old, whole->data[at], (unsigned long long)seed,
-                     (unsigned long long)k, mend ? ", check value put right" : "", err_name(rc),
+                     (unsigned long long)k, mend ? ", check value put right" : "", kit_err(rc),
                      e.msg);
         refused += rc != 0;
         memcpy(whole->data, good.data, good.size);

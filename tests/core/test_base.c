@@ -4,6 +4,7 @@
  */
 #include "tests/kit.h"
 
+#include <fcntl.h>
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
@@ -16,6 +17,7 @@
 #include "core/math/cholesky.h"
 #include "core/math/sort.h"
 #include "core/options/options.h"
+#include "core/outdir.h"
 #include "core/pool.h"
 
 static void err_set_keeps_arguments_that_point_into_the_message(void **state)
@@ -27,7 +29,6 @@ static void err_set_keeps_arguments_that_point_into_the_message(void **state)
     err_set(&e, ERR_FORMAT, "again: %s", e.msg);
     assert_string_equal(e.msg, "again: cell 3: disk full");
     assert_int_equal(err_set(NULL, ERR_MEM, "x"), ERR_MEM);
-    assert_string_equal(err_name(ERR_DEVICE), "ERR_DEVICE");
 }
 
 /* What clients send is in log lines of JSON: they stay UTF-8 and JSON whatever it is. */
@@ -161,6 +162,114 @@ static void file_write_replaces_whole_or_not_at_all(void **state)
     assert_string_equal(names[0], "a.bin");
     arena_free(&a);
     kit_rmdir(dir);
+}
+
+/* `NAME.part-MACHINE-PID` of a process that is gone. */
+static void left_by_a_dead_process(const char *path, char part[FILE_PATH_MAX])
+{
+    struct err e = {0};
+    const pid_t child = fork();
+    if (child == 0)
+        _exit(0);
+    assert_int_equal(waitpid(child, NULL, 0), child);
+    kit_ok(file_begin(path, part, &e), e);
+    sprintf(strrchr(part, '-') + 1, "%ld", (long)child);
+}
+
+static void what_killed_processes_left_is_removed(void **state)
+{
+    struct err e = {0};
+    struct outdir out;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], other[FILE_PATH_MAX], own[FILE_PATH_MAX],
+        dead[FILE_PATH_MAX], away[FILE_PATH_MAX], inside[FILE_PATH_MAX];
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "a.tiles", &e), e);
+    kit_ok(file_join(other, dir, "a.tiles2", &e), e);
+    kit_ok(file_begin(path, own, &e), e);
+    left_by_a_dead_process(path, dead);
+    memcpy(away, dead, sizeof away);
+    away[strlen(path) + 6] ^= 1; /* of another machine */
+    kit_ok(file_write(own, "1", 1, &e), e);
+    kit_ok(file_write(away, "1", 1, &e), e);
+    kit_ok(file_mkdir(dead, &e), e);
+    kit_ok(file_join(inside, dead, "x", &e), e);
+    kit_ok(file_write(inside, "1", 1, &e), e);
+    kit_ok(file_write(other, "1", 1, &e), e);
+    file_sweep(other);
+    assert_true(file_exists(inside)); /* of another name */
+    file_sweep(path);
+    assert_false(file_exists(dead));
+    assert_true(file_exists(own) && file_exists(away) && file_exists(other));
+    file_sweep_locked(dir);
+    assert_false(file_exists(own) || file_exists(away));
+    assert_true(file_exists(other));
+    kit_ok(file_mkdir(dead, &e), e);
+    kit_ok(outdir_begin(path, "marker", false, &out, &e), e);
+    assert_false(file_exists(dead));
+    outdir_abort(&out);
+    kit_rmdir(dir);
+    assert_false(file_exists(dir));
+}
+
+static void parts_of_files_are_read_and_written_whole(void **state)
+{
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], got[4] = "";
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "a", &e), e);
+    int fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    kit_ok(file_write_at(fd, path, "abc", 3, 2, &e), e);
+    kit_ok(file_read_at(fd, path, got, 3, 2, &e), e);
+    assert_memory_equal(got, "abc", 3);
+    kit_fails(file_read_at(fd, path, got, 3, 3, &e), ERR_FORMAT, e, "truncated");
+    close(fd);
+    kit_fails(file_read_at(fd, path, got, 3, 0, &e), ERR_IO, e, path);
+    kit_fails(file_write_at(fd, path, got, 3, 0, &e), ERR_IO, e, path);
+    kit_rmdir(dir);
+}
+
+static void numbers_are_decimal_and_finite(void **state)
+{
+    static const char *const none[] = {"",      " ",    "nan",  "inf",   "-inf",
+                                       "1e999", "0x10", "-0X1", "1,2 ",  "1,2,",
+                                       ",1",    "1;2",  "1 ,2", "1,nan", "1,0x2"};
+    double v[3];
+    const char *p = " -1.5e2m";
+    assert_true(number_list("1", 1, v) && v[0] == 1.0);
+    assert_true(number_list(" -.5,+2.5e-1, 0", 3, v) && v[0] == -0.5 && v[1] == 0.25 && v[2] == 0);
+    assert_true(number_read(&p, v) && v[0] == -150.0 && *p == 'm');
+    assert_false(number_read(&p, v));
+    assert_string_equal(p, "m");
+    for (size_t i = 0; i < sizeof none / sizeof *none; i++)
+        if (number_list(none[i], i < 8 ? 1 : 2, v))
+            fail_msg("'%s' is taken for numbers", none[i]);
+}
+
+/* The vectors of RFC 4648, section 10, and one whose digits differ. */
+static void base64_has_two_forms(void **state)
+{
+    static const struct {
+        const char *bytes, *padded, *url;
+    } rows[] = {{"", "", ""},
+                {"f", "Zg==", "Zg"},
+                {"fo", "Zm8=", "Zm8"},
+                {"foo", "Zm9v", "Zm9v"},
+                {"foobar", "Zm9vYmFy", "Zm9vYmFy"},
+                {"\xfb\xff\xfe", "+//+", "-__-"}};
+    char text[16], back[8];
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        const size_t n = strlen(rows[i].bytes);
+        assert_int_equal(base64_write(rows[i].bytes, n, BASE64_PADDED, text),
+                         strlen(rows[i].padded));
+        assert_string_equal(text, rows[i].padded);
+        assert_in_range(strlen(text), 0, base64_room(n) - 1);
+        base64_write(rows[i].bytes, n, BASE64_URL, text);
+        assert_string_equal(text, rows[i].url);
+        assert_true(base64_read(text, back, n));
+        assert_memory_equal(back, rows[i].bytes, n);
+        assert_false(base64_read(text, back, n + 1));
+    }
+    assert_false(base64_read("Zm9+", back, 3));
 }
 
 static void file_write_to_a_full_disk_leaves_nothing(void **state)
@@ -657,6 +766,10 @@ int main(void)
         cmocka_unit_test(buf_and_cursor_round_trip_little_endian),
         cmocka_unit_test(buf_markup_leaves_nothing_that_opens_or_ends_markup),
         cmocka_unit_test(file_write_replaces_whole_or_not_at_all),
+        cmocka_unit_test(what_killed_processes_left_is_removed),
+        cmocka_unit_test(parts_of_files_are_read_and_written_whole),
+        cmocka_unit_test(numbers_are_decimal_and_finite),
+        cmocka_unit_test(base64_has_two_forms),
         cmocka_unit_test(file_write_to_a_full_disk_leaves_nothing),
         cmocka_unit_test(rng_is_uniform_normal_and_fixed),
         cmocka_unit_test(jsonc_reads_comments_and_names_the_line),

@@ -778,7 +778,7 @@ static void out_of_memory_everywhere(void **state)
         gauss_free(&back);
         done = !rc;
         if (rc && rc != ERR_MEM)
-            fail_msg("allocation %zu: %s (%s)", k, err_name(rc), e.msg);
+            fail_msg("allocation %zu: %s (%s)", k, kit_err(rc), e.msg);
     }
     assert_true(done);
     gauss_free(&g);

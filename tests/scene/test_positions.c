@@ -520,7 +520,7 @@ static void nonsense_is_refused(void **state)
         put(bad[i].name, bad[i].text, path);
         enum err_code rc = positions_read(path, &p, &e);
         if (rc != ERR_FORMAT && rc != ERR_DATA)
-            fail_msg("%s: %s", bad[i].name, err_name(rc));
+            fail_msg("%s: %s", bad[i].name, kit_err(rc));
         kit_expect_text(e.msg, bad[i].says, __FILE__, __LINE__);
     }
     put("none.csv", "image,lon,lat,z\nnobody.jpg,7,47,300\n", path);

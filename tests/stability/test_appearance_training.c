@@ -392,11 +392,7 @@ static double psnr_of_training(struct toy_run *r, bool own)
         kit_ok(photo_loader_get_nth(g->photos, i, &p, &e), e);
         struct render_options ro =
             own ? gallery_photo_options(g, at, p.image) : gallery_options(g, at);
-        kit_ok(gallery_hand_over(g, &p, &e), e);
-        kit_ok(render_forward(g->engine.render, &r->level.model.gauss, &p.cam, &ro, NULL, NULL, &e),
-               e);
-        kit_ok(gallery_value(g, &p, &e), e);
-        kit_ok(photometric_read(g->engine.loss, &v, &e), e);
+        kit_ok(gallery_score(g, &p, &r->level.model.gauss, &ro, true, &v, &e), e);
         mse += v.mse / (double)g->n_images;
     }
     return -10.0 * log10(mse);

@@ -92,7 +92,15 @@ auto() { "$bin" train "$work/large" --iterations 40 --coarse-iterations-min 20 -
 whole=$("$bin" train "$work/large" --list 2>"$work/log" | cut -f5)
 auto --memory half
 check 'memory is a size' said "--memory half"
-auto --memory 1M --stop-after 1
+auto --memory 1M --stop-after 1 &
+search=$! named=
+while kill -0 $search 2>/dev/null; do
+    [ ! -e "$work/large/plan.json" ] || named=1
+    sleep 0.02
+done
+wait $search
+check 'no plan has its name before it is known to fit' [ -z "$named" ]
+check 'nor is any left' sh -c "! ls '$work/large' | grep -q part-"
 check 'with no cut that fits it stays whole and says so' said "no cut into cells fits: it is trained in one piece"
 check 'without a plan' [ ! -e "$work/large/plan.json" ]
 auto --memory $((whole * 8 / 10))M --resume --stop-after 1

@@ -75,11 +75,6 @@ struct timing_seconds timing_since(const struct timing_seconds *now,
     return d;
 }
 
-const char *timing_key(enum timing_on on)
-{
-    return timing_names[on].key;
-}
-
 void timing_text(const struct timing_seconds *t, char *out, size_t size)
 {
     double total = timing_total(t), rest = t->s[TIMING_OTHER];

@@ -46,7 +46,6 @@ void timing_add(struct timing_seconds *to, const struct timing_seconds *t);
 /* The times between `then`, an earlier timing_now, and `now`. */
 struct timing_seconds timing_since(const struct timing_seconds *now,
                                    const struct timing_seconds *then);
-const char *timing_key(enum timing_on on);
 /* Writes "steps 24.1 s (83 %), densification 1.9 s (7 %), ...", largest first. Kinds below half a
  * per cent are added up. */
 void timing_text(const struct timing_seconds *t, char *out, size_t size);

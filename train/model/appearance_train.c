@@ -149,8 +149,8 @@ static int appearance_train_compare(const void *a, const void *b)
                   ((const struct appearance_train_name *)b)->name);
 }
 
-enum err_code appearance_train_rows(const struct appearance *a, const struct scene *s,
-                                    uint32_t *row, struct err *e)
+static enum err_code appearance_train_rows(const struct appearance *a, const struct scene *s,
+                                           uint32_t *row, struct err *e)
 {
     struct appearance_train_name *list = mem_array(a->n_images, sizeof *list);
     if (!list)
@@ -349,7 +349,7 @@ void appearance_train_restart(struct appearance_train *k)
 
 /* ---- cameras without an embedding ---- */
 
-double appearance_train_reach(const struct scene *s)
+static double appearance_train_reach(const struct scene *s)
 {
     double up = 0.0, ground = 0.0, center[3];
     if (!s->n_images || !s->n_points)

@@ -81,7 +81,7 @@ void appearance_train_restart(struct appearance_train *k);
 struct appearance_view {
     const struct appearance *model; /* borrowed, as is the scene */
     const struct scene *scene;
-    uint32_t *row;        /* [scene images], see appearance_train_rows */
+    uint32_t *row;        /* [scene images]: in the table, or APPEARANCE_TRAIN_ROW_NONE */
     double reach_m;       /* see appearance_train_nearest */
     float *image, *frame; /* of the last camera */
     /* every camera has the appearance of this photograph, if it has a row; else that of the nearest
@@ -105,13 +105,6 @@ const float *appearance_view_frame(struct appearance_view *v, const struct camer
 size_t appearance_train_nearest(const struct appearance *a, const struct scene *s,
                                 const uint32_t *row, const struct camera *cam, double reach_m,
                                 float *out);
-/* row [scene images]: row of each photograph in the table, or APPEARANCE_TRAIN_ROW_NONE. ERR_MEM.
- */
-enum err_code appearance_train_rows(const struct appearance *a, const struct scene *s,
-                                    uint32_t *row, struct err *e) ERR_USE;
-/* Typical distance from a camera to what it sees: the cameras' mean height above the scene's
- * points, at least 1 m. */
-double appearance_train_reach(const struct scene *s);
 
 /* ---- reading and writing checkpoints ---- */
 /* Appends the moments to `out`. ERR_MEM. */

@@ -41,7 +41,7 @@ struct init_search {
     const float *xyz;
     struct knn tree;
     float *dist2;
-    float *limited; /* NULL: not wanted */
+    float *limited;
 };
 
 static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
@@ -98,16 +98,10 @@ static enum err_code init_search_all(struct init_search *s, size_t n, struct err
     enum err_code rc = knn_build(s->xyz, n, &s->tree, e);
     if (!rc)
         rc = pool_for(chunks, 0, init_search_chunk, s, e);
-    if (!rc && s->limited)
+    if (!rc)
         rc = pool_for(chunks, 0, init_limit_chunk, s, e);
     knn_free(&s->tree);
     return rc;
-}
-
-enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e)
-{
-    struct init_search s = {.xyz = xyz, .dist2 = dist2};
-    return init_search_all(&s, n, e);
 }
 
 enum err_code init_size2(const float *xyz, size_t n, float *size2, struct err *e)

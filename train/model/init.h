@@ -47,9 +47,6 @@ enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct 
 /* The number of points that init_gauss would use without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
                                 const struct cell *cell, size_t *out, struct err *e) ERR_USE;
-/* dist2[i]: mean squared distance of point i to its three nearest others, or to all if there are
- * fewer. ERR_MEM, ERR_LIMIT. */
-enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
 /* Starts from a coarse model of the whole scene instead. Gaussians inside the cell are thinned
  * evenly to `limit` and enlarged to cover the same ground. Gaussians around the cell that its
  * photographs show are included, so that the cell need not learn its background again. They are the

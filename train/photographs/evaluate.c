@@ -69,8 +69,10 @@ enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct eva
     return ERR_OK;
 }
 
-enum err_code evaluate_seen(const struct photo *p, const struct footprint *ground, const float *rgb,
-                            struct evaluate_score *sum, struct err *e)
+/* Adds the PSNR on ground that training photographs show, if that ground fills at least a hundredth
+ * of the photograph. */
+static enum err_code evaluate_seen(const struct photo *p, const struct footprint *ground,
+                                   const float *rgb, struct evaluate_score *sum, struct err *e)
 {
     const struct camera *c = &p->cam;
     size_t n = (size_t)c->width_px * c->height_px, seen = 0;
@@ -138,7 +140,8 @@ static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score
     sum->ms_frame += one->ms_frame;
 }
 
-bool evaluate_is_masked(const struct photo *p)
+/* Whether its mask leaves no pixel. */
+static bool evaluate_is_masked(const struct photo *p)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, i = 0;
     while (p->mask && i < n && !p->mask[i])

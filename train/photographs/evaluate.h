@@ -51,16 +51,11 @@ struct evaluate_source {
     /* PSNR and SSIM are all that is wanted: l1 and gmsd stay 0, and ms_frame is of one drawing */
     bool brief;
 };
-/* Adds the PSNR on ground that training photographs show, if that ground fills at least a hundredth
- * of the photograph. ERR_MEM. */
-enum err_code evaluate_seen(const struct photo *p, const struct footprint *ground, const float *rgb,
-                            struct evaluate_score *sum, struct err *e) ERR_USE;
 /* evaluate_photo adds the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1).
  * evaluate_divide makes means of n such sums. ERR_DATA: its mask leaves no pixel. ERR_ARG: less
  * than 4 x 4 pixels. ERR_MEM. */
 enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
                              struct err *e) ERR_USE;
-bool evaluate_is_masked(const struct photo *p); /* whether its mask leaves no pixel */
 void evaluate_divide(struct evaluate_score *sum, double n);
 /* Scores the first n_photos of the loader's list, without those that are completely masked. If none
  * is left, out->n_photos is 0 and the means are NaN. ERR_DATA: the argument n_photos is 0.

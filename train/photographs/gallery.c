@@ -159,11 +159,6 @@ enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err 
     return gallery_run(g, p, false, true, e);
 }
 
-enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e)
-{
-    return gallery_run(g, p, true, true, e);
-}
-
 enum err_code gallery_score(struct gallery *g, const struct photo *p, const struct render_model *m,
                             const struct render_options *ro, bool with_ssim,
                             struct photometric_value *out, struct err *e)

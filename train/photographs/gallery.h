@@ -55,8 +55,6 @@ enum err_code gallery_hand_over(struct gallery *g, const struct photo *p, struct
 /* Computes the loss of the last frame against its photograph, which was handed over. The renderer
  * then has the gradient, and photometric_read waits for the value. ERR_MEM, ERR_DEVICE. */
 enum err_code gallery_loss(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
-/* As gallery_loss, without gradients. Only photometric_read may follow. ERR_MEM, ERR_DEVICE. */
-enum err_code gallery_value(struct gallery *g, const struct photo *p, struct err *e) ERR_USE;
 /* Hands a photograph over, draws Gaussians as it shows them, and reads the value; without SSIM it
  * takes a fraction of the time, ssim is 1, and total is without it. It waits. ERR_MEM,
  * ERR_DEVICE. */

@@ -162,8 +162,8 @@ static void test_targets(void **state)
         enum err_code rc = router_read(routes, rows[i].text, strlen(rows[i].text), &got, &e);
         const char *name = got.all.route ? got.all.route->name : "-";
         if (rc != rows[i].code || (!rc && strcmp(name, rows[i].route) != 0))
-            fail_msg("'%s': got %s %s (%s), want %s %s", rows[i].text, err_name(rc), name, e.msg,
-                     err_name(rows[i].code), rows[i].route ? rows[i].route : "-");
+            fail_msg("'%s': got %s %s (%s), want %s %s", rows[i].text, kit_err(rc), name, e.msg,
+                     kit_err(rows[i].code), rows[i].route ? rows[i].route : "-");
     }
 }
 

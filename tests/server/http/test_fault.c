@@ -113,7 +113,7 @@ static void test_starting(void **state)
             failed++;
             assert_null(t.server);
             if (!e.msg[0] || rc == ERR_INTERNAL)
-                fail_msg("%s %d fails: %s '%s'", fault_names[f], k, err_name(rc), e.msg);
+                fail_msg("%s %d fails: %s '%s'", fault_names[f], k, kit_err(rc), e.msg);
         }
         print_message("%s: %d starts failed in order\n", fault_names[f], failed);
         if (f != FAULT_READ) /* nothing has to be read to start */

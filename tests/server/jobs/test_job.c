@@ -100,7 +100,7 @@ static enum err_code item_run(void *user, const struct job *j, void *work, size_
         return err_set(e, ERR_CANCEL, "cancelled");
     }
     if (it->fail != ERR_OK)
-        return err_set(e, it->fail, "number %d fails with %s", it->number, err_name(it->fail));
+        return err_set(e, it->fail, "number %d fails with %s", it->number, kit_err(it->fail));
     struct loop loop = {b, pthread_self()};
     enum err_code rc = worker < b->tile_threads ? pool_for(4, 4, loop_run, &loop, e) : ERR_OK;
     if (rc)
