@@ -219,8 +219,9 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      streams.encoder_bytes);
     metrics_text_one(out, "stream_frames_total", "counter", "Pictures of streams that are video.",
                      streams.frames);
-    metrics_text_one(out, "stream_encode_milliseconds_total", "counter",
-                     "Time to encode these, without drawing.", (uint64_t)(streams.encode_s * 1e3));
+    metrics_text_head(out, "stream_encode_seconds_total", "counter",
+                      "Time to encode these, without drawing.");
+    buf_printf(out, "citysplat_stream_encode_seconds_total %.6f\n", streams.encode_s);
     if (s->picture)
         metrics_text_drawing(s, out);
     cache_count(s->cache, &cs);
