@@ -122,6 +122,26 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
 
 /* ---- listening ---- */
 
+/* Is --admin ADDR:PORT, which is well formed, the place of the first listener? */
+static bool http_is_first(const struct server_config *cfg)
+{
+    const char *colon = strrchr(cfg->admin, ':'), *host = cfg->admin + (cfg->admin[0] == '[');
+    const size_t n = strcspn(host, cfg->admin[0] == '[' ? "]" : ":"), first = strlen(cfg->address);
+    return cfg->port && atoi(colon + 1) == cfg->port && n == first &&
+           !memcmp(host, cfg->address, n);
+}
+
+static enum err_code http_check_admin(const struct server_config *cfg, struct err *e)
+{
+    enum err_code rc = listen_check_at(cfg->admin, "--admin", e);
+    if (!rc && http_is_first(cfg))
+        rc = err_set(e, ERR_ARG,
+                     "--admin %s: there the first listener is (--address, --port): choose another "
+                     "port",
+                     cfg->admin);
+    return rc;
+}
+
 static enum err_code http_listen(struct http *h, struct err *e)
 {
     const struct server_config *cfg = h->front.s->cfg;
@@ -134,8 +154,10 @@ static enum err_code http_listen(struct http *h, struct err *e)
         h->fd = held;
         return listen_take(held, &h->port, e);
     }
-    if (admin)
-        return listen_open_at(cfg->admin, "--admin", &h->fd, &h->port, e);
+    if (admin) {
+        enum err_code rc = http_check_admin(cfg, e);
+        return rc ? rc : listen_open_at(cfg->admin, "--admin", &h->fd, &h->port, e);
+    }
     return listen_open(cfg->address, (int)cfg->port, LISTEN_PORT, &h->fd, &h->port, e);
 }
 
@@ -149,7 +171,8 @@ static enum err_code http_check_base(const char *base, size_t *n, struct err *e)
                                          "0123456789/_.-")]);
     return ok ? ERR_OK
               : err_set(e, ERR_ARG,
-                        "--base-path %.60s: a path that begins with / and does not end with it",
+                        "--base-path %.60s: a path of letters, digits, _, . and -, that begins "
+                        "with / and does not end with it",
                         base);
 }
 
@@ -188,7 +211,7 @@ enum err_code http_check(const struct server_config *cfg, struct err *e)
     if (!rc)
         rc = listen_check(cfg->address, e);
     if (!rc && cfg->admin)
-        rc = listen_check_at(cfg->admin, "--admin", e);
+        rc = http_check_admin(cfg, e);
     return rc;
 }
 

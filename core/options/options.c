@@ -225,6 +225,12 @@ static enum err_code options_set(const struct options_def *d, const char *text, 
     }
     case OPTIONS_TEXT: {
         char *copy = *text ? arena_text(a, text) : NULL;
+        if (!*text && *d->def) { /* an unset variable of a script */
+            char want[160];
+            snprintf(want, sizeof want, "a value; leave the option out for its default, %s",
+                     d->def);
+            return options_bad(d, text, want, e);
+        }
         if (*text && !copy)
             return err_set(e, ERR_MEM, "out of memory for options");
         *(OPTIONS_C_TEXT *)options_at(d, config) = copy;

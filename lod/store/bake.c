@@ -312,11 +312,11 @@ enum err_code bake_find(struct store *s, const char *text, float *image, struct 
     }
     if (rc)
         return rc;
-    if (!n || !(fabs(sum) > 0.0))
+    if (!n || !(sum > 0.0))
         return err_set(e, ERR_ARG,
                        "'%s': the name of a photograph is expected, or "
-                       "NAME:WEIGHT,NAME:WEIGHT with weights that do not add up to 0, or =BASE64 "
-                       "of an embedding",
+                       "NAME:WEIGHT,NAME:WEIGHT with weights that add up to more than 0, or "
+                       "=BASE64 of an embedding",
                        text);
     float unit[APPEARANCE_IMAGE_MAX];
     memset(image, 0, a->len_image * sizeof(float));

@@ -35,7 +35,8 @@ enum err_code bake_join(struct store *s, const struct appearance *a, struct buf 
 enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR_USE;
 /* Finds the embedding [len_image] that a text names: a photograph's name, BAKE_DEFAULT, a blend
  * "NAME:WEIGHT,NAME:WEIGHT", or "=" and an embedding (see bake_text). A blend uses embeddings of
- * length 1 and divides weights by their sum. After bake_of, threads may share a store for this.
+ * length 1 and divides weights by their sum, which is more than 0: otherwise every weight would
+ * count with the other sign. After bake_of, threads may share a store for this.
  * ERR_NOENT: there is no such photograph, or the store has no appearance. ERR_ARG: the text is
  * invalid. ERR_FORMAT, ERR_IO, ERR_MEM as in bake_of. */
 enum err_code bake_find(struct store *s, const char *text, float *image, struct err *e) ERR_USE;

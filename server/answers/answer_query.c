@@ -40,6 +40,7 @@ static enum err_code answer_query_read_place(const struct target_place *place,
     out->n = 1;
     out->place[0][0] = place->lon_e7 / 1e7;
     out->place[0][1] = place->lat_e7 / 1e7;
+    out->gsd_m = place->gsd_mm / 1e3;
     return ERR_OK;
 }
 

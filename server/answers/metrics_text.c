@@ -196,8 +196,9 @@ static void metrics_text_streams(struct services *s, struct buf *out)
                      streams.encoder_bytes);
     metrics_text_one(out, "stream_frames_total", "counter", "Pictures of streams that are video.",
                      streams.frames);
-    metrics_text_one(out, "stream_encode_milliseconds_total", "counter",
-                     "Time to encode these, without drawing.", (uint64_t)(streams.encode_s * 1e3));
+    metrics_text_head(out, "stream_encode_seconds_total", "counter",
+                      "Time to encode these, without drawing.");
+    buf_printf(out, "citysplat_stream_encode_seconds_total %.6f\n", streams.encode_s);
 }
 
 /* The cache, and all else that holds answers. */

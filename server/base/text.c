@@ -24,16 +24,6 @@ int text_hex(char c)
                                   : -1;
 }
 
-bool text_take_mark(struct text *t, char mark)
-{
-    const char *p = t->p;
-    if (t->end - p > 2 && *p == '%' && text_hex(p[1]) * 16 + text_hex(p[2]) == mark)
-        t->p += 3;
-    else if (p < t->end && *p == mark)
-        t->p++;
-    return t->p > p;
-}
-
 bool text_at_end(const struct text *t)
 {
     return t->p == t->end;
@@ -58,24 +48,24 @@ bool text_take_uint(struct text *t, uint32_t *out)
 
 bool text_take_fixed(struct text *t, int scale, int64_t *out)
 {
-    bool negative = text_take(t, "-");
+    const bool negative = text_take(t, "-");
+    if (!negative)
+        (void)text_take(t, "+");
     uint32_t whole;
     if (!text_take_uint(t, &whole))
         return false;
     int64_t v = whole;
-    int done = 0, digits = 0;
+    int done = 0;
     bool up = false;
     if (text_take(t, ".")) {
+        const char *point = t->p;
         if (!text_is_digit(t))
             return false;
-        for (; text_is_digit(t); t->p++) {
-            if (++digits > 12)
-                return false;
+        for (; text_is_digit(t); t->p++)
             if (done < scale)
                 v = v * 10 + (*t->p - '0'), done++;
-            else if (digits == scale + 1)
+            else if (t->p == point + scale)
                 up = *t->p >= '5';
-        }
     }
     for (; done < scale; done++)
         v *= 10;
@@ -89,7 +79,7 @@ enum err_code text_take_degrees(struct text *t, int n, const char *what, int32_t
     for (int i = 0; i < n; i++) {
         int64_t v;
         const int64_t most = i % 2 ? 900000000 : 1800000000;
-        if ((i && !text_take_mark(t, ',')) || !text_take_fixed(t, 7, &v))
+        if ((i && !text_take(t, ",")) || !text_take_fixed(t, 7, &v))
             return ERR_NOENT;
         if (v < -most || v > most)
             return err_set(e, ERR_DATA, "%s no longitude and latitude", what);
@@ -98,11 +88,11 @@ enum err_code text_take_degrees(struct text *t, int n, const char *what, int32_t
     return ERR_OK;
 }
 
-bool text_take_decoded(struct text *t, char *out, size_t room)
+bool text_take_unescaped(struct text *t, char plus, char *out, size_t room)
 {
     size_t n = 0;
     for (; t->p < t->end; t->p++) {
-        char c = *t->p == '+' ? ' ' : *t->p;
+        char c = *t->p == '+' ? plus : *t->p;
         if (c == '%') {
             int hi = t->end - t->p > 2 ? text_hex(t->p[1]) : -1,
                 lo = hi < 0 ? -1 : text_hex(t->p[2]);
@@ -116,7 +106,12 @@ bool text_take_decoded(struct text *t, char *out, size_t room)
         out[n++] = c;
     }
     out[n] = '\0';
-    return n > 0 && text_is_utf8(out);
+    return true;
+}
+
+bool text_take_decoded(struct text *t, char *out, size_t room)
+{
+    return text_take_unescaped(t, ' ', out, room) && *out && text_is_utf8(out);
 }
 
 bool text_is_utf8(const char *text)

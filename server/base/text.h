@@ -17,20 +17,21 @@ struct text { /* the rest to read, borrowed */
 };
 
 bool text_take(struct text *t, const char *word); /* false: t is unchanged */
-bool text_take_mark(struct text *t, char mark);   /* the same; the mark may come as %XX */
 int text_hex(char c);                             /* value of a hexadecimal digit; -1: it is none */
 bool text_at_end(const struct text *t);
 /* Reads a natural number of at most 9 digits, without leading zeros. */
 bool text_take_uint(struct text *t, uint32_t *out);
-/* Reads [-]digits[.digits] times 10^scale, rounded half away from zero. It has at most 9 digits
- * before the point and 12 after. "-0" is 0. */
+/* Reads [-+]digits[.digits] times 10^scale, rounded half away from zero. It has at most 9 digits
+ * before the point and any number after it: programs print a double with up to 17. "-0" is 0. */
 bool text_take_fixed(struct text *t, int scale, int64_t *out);
 /* Reads n numbers joined by commas, longitude and latitude in turn, in 1e-7 degrees. ERR_NOENT: it
  * is no such text; e is not set. ERR_DATA: "WHAT no longitude and latitude". */
 enum err_code text_take_degrees(struct text *t, int n, const char *what, int32_t *out_e7,
                                 struct err *e) ERR_USE;
-/* Percent-decodes the rest of t ('+' is a space, as in forms). False: it is empty, too long or not
- * UTF-8, or has a broken escape or a control character. */
+/* Percent-decodes the rest of t; '+' becomes `plus`. False: it is too long for out, or has a broken
+ * escape or a control character. */
+bool text_take_unescaped(struct text *t, char plus, char *out, size_t room);
+/* The same as UTF-8, with a space for '+', as in forms. False as well: it is empty, or no UTF-8. */
 bool text_take_decoded(struct text *t, char *out, size_t room);
 
 /* Percent-encodes a text as a value of a query. RFC 3986's unreserved characters stay, and so do

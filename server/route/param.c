@@ -235,9 +235,9 @@ static enum err_code param_own_bbox(struct text *one, void *group, struct err *e
 static bool param_take_box(struct text t, bool solid, struct target_box *out)
 {
     for (int k = 0; k < 2; k++)
-        if ((k && !text_take_mark(&t, ',')) ||
+        if ((k && !text_take(&t, ",")) ||
             text_take_degrees(&t, 2, "bbox:", &out->bbox_e7[2 * k], NULL) ||
-            (solid && !(text_take_mark(&t, ',') && text_take_fixed(&t, 3, &out->heights_mm[k]))))
+            (solid && !(text_take(&t, ",") && text_take_fixed(&t, 3, &out->heights_mm[k]))))
             return false;
     return text_at_end(&t);
 }

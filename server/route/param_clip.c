@@ -31,7 +31,7 @@ static enum err_code param_clip_corners(struct text *one, struct target_clip *c,
             return err_set(e, ERR_DATA, "clip: a polygon has 3 to %d corners", TARGET_CLIP_CORNERS);
         if (c->n < TARGET_CLIP_CORNERS)
             memcpy(c->corner_e7[c->n++], at, sizeof at);
-    } while (text_take_mark(one, ','));
+    } while (text_take(one, ","));
     if (c->n > 1 && !memcmp(c->corner_e7[c->n - 1], c->corner_e7[0], sizeof at))
         c->n--;
     return text_at_end(one) ? ERR_OK : ERR_NOENT;

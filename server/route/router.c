@@ -19,7 +19,11 @@
 
 #include "codec/splat/quant.h"
 
-enum { ROUTER_PARAMS = 20, ROUTER_PARTS = 10 };
+enum {
+    ROUTER_PARAMS = 20,
+    ROUTER_PARTS = 10,
+    ROUTER_VALUE = 2048 /* as long as a target may be */
+};
 
 struct router_row {   /* what params.def says of a row of the table */
     uint8_t n[2];     /* parameters of the path, and of the query */
@@ -403,6 +407,21 @@ static enum err_code router_unknown(const struct router_row *row, struct err *e)
     return rc;
 }
 
+/* The value of a parameter. A form writes %2C for a comma, and a plus for a space: that is a text's
+ * own matter, and before a number it is its sign. */
+static enum err_code router_take_value(const struct param *p, struct text value, struct target *out,
+                                       struct err *e)
+{
+    char plain[ROUTER_VALUE];
+    if (p->type != PARAM_TEXT && memchr(value.p, '%', (size_t)(value.end - value.p))) {
+        if (!text_take_unescaped(&value, '+', plain, sizeof plain))
+            return ERR_NOENT;
+        value = (struct text){plain, plain + strlen(plain)};
+    }
+    enum err_code rc = param_read(p, &value, out, e);
+    return !rc && !text_at_end(&value) ? ERR_NOENT : rc;
+}
+
 /* One part of a query. What it holds beside the parameters is for caches and not ours (Cesium adds
  * v=REVISION), but for lists, where a misspelt key would be a longer list, and for clip: a client
  * that asks for a part and gets all of it would not notice. */
@@ -419,8 +438,8 @@ static enum err_code router_take(struct router_query *q, struct text one, struct
             continue;
         const bool again = q->seen >> i & 1;
         q->seen |= 1u << i;
-        enum err_code rc = again ? ERR_NOENT : param_read(p, &value, out, e);
-        if (rc == ERR_NOENT || (!rc && !text_at_end(&value)))
+        enum err_code rc = again ? ERR_NOENT : router_take_value(p, value, out, e);
+        if (rc == ERR_NOENT)
             return err_set(e, ERR_FORMAT, "%s is %s, given once", p->name, p->must);
         return rc;
     }

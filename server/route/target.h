@@ -133,6 +133,7 @@ struct target_terrain {
 struct target_place {
     bool given;
     int32_t lon_e7, lat_e7;
+    int32_t gsd_mm; /* edge of a pixel; 0: the usual one */
 };
 /* stream: pictures that follow a camera. */
 struct target_stream {

@@ -323,15 +323,16 @@ struct toy {
     OPTIONS_C_NUM edge_m;
     OPTIONS_C_INT count;
     OPTIONS_C_BOOL serve;
-    OPTIONS_C_TEXT output;
+    OPTIONS_C_TEXT output, device;
     OPTIONS_C_ENUM aa;
 };
 static const struct options_def toy_defs[] = {
-    OPTIONS_GROUP_ROW("a heading")
-        OPTIONS_ROW(struct toy, NUM, EVERYDAY, edge_m, "180", 1, 5000, "m", "edge")
-            OPTIONS_ROW(struct toy, INT, EVERYDAY, count, "3", 1, 8, "", "levels")
-                OPTIONS_ROW(struct toy, BOOL, EVERYDAY, serve, "true", 0, 0, "", "serve")
-                    OPTIONS_ROW(struct toy, TEXT, EVERYDAY, output, "", 0, 0, "FILE", "out")
+    OPTIONS_GROUP_ROW("a heading") OPTIONS_ROW(struct toy, NUM, EVERYDAY, edge_m, "180", 1, 5000,
+                                               "m", "edge")
+        OPTIONS_ROW(struct toy, INT, EVERYDAY, count, "3", 1, 8, "", "levels")
+            OPTIONS_ROW(struct toy, BOOL, EVERYDAY, serve, "true", 0, 0, "", "serve")
+                OPTIONS_ROW(struct toy, TEXT, EVERYDAY, output, "", 0, 0, "FILE", "out")
+                    OPTIONS_ROW(struct toy, TEXT, EVERYDAY, device, "auto", 0, 0, "NAME", "on what")
                         OPTIONS_ROW(struct toy, ENUM, EVERYDAY, aa, "2d", 0, 0, "none|2d|mip",
                                     "anti-aliasing")};
 static const struct options_spec toy_spec = {.command = "toy",
@@ -396,6 +397,8 @@ static void options_refuse_with_the_nearest_name(void **state)
     kit_fails(toy_parse(&t, &args, &a, nan_text, &e), ERR_ARG, e, "nan");
     const char *choice = "toy in --aa 3d";
     kit_fails(toy_parse(&t, &args, &a, choice, &e), ERR_ARG, e, "none|2d|mip");
+    const char *empty = "toy in --output= --device=";
+    kit_fails(toy_parse(&t, &args, &a, empty, &e), ERR_ARG, e, "--device: '' is not a value");
     const char *missing = "toy";
     kit_fails(toy_parse(&t, &args, &a, missing, &e), ERR_ARG, e, "too few");
     const char *value = "toy in --edge-m";

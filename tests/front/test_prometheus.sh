@@ -34,6 +34,9 @@ ask() { # what makes both counters of the cache, and errors
     curl -s -L "http://127.0.0.1:${ports[2]}/d/toy/static/13.4,52.5,90@0,-90/64x48.jpg" "http://127.0.0.1:${ports[2]}/d/toy/tileset.json" >"$work/null"
 }
 ask
+curl -s "http://127.0.0.1:$admin/metrics" >"$work/metrics"
+# Certificates are renewed by days.
+check 'promtool finds no other fault in names and units of the metrics' is "$(promtool check metrics <"$work/metrics" 2>&1 | grep -v ^citysplat_certificate_days_left)" ''
 gone=$(free_port) port=$(free_port)
 cat >"$work/prometheus.yml" <<END
 global: {scrape_interval: 1s, evaluation_interval: 1s}

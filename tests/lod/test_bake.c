@@ -209,6 +209,11 @@ static void looks_are_found_by_name_and_blended(void **state)
     kit_fails(bake_find(s, "p9.jpg", x, &e), ERR_NOENT, e, "p9.jpg");
     kit_fails(bake_find(s, "p0.jpg:much", x, &e), ERR_ARG, e, "number");
     kit_fails(bake_find(s, "p0.jpg:1,p3.jpg:-1", x, &e), ERR_ARG, e, "weights");
+    kit_fails(bake_find(s, "p0.jpg:-1", x, &e), ERR_ARG, e, "weights");
+    kit_fails(bake_find(s, "p0.jpg:-3,p3.jpg:1", x, &e), ERR_ARG, e, "weights");
+    kit_ok(bake_find(s, "p0.jpg:3,p3.jpg:-1", x, &e), e);
+    for (size_t i = 0; i < 12; i++)
+        assert_true(fabs((double)x[i] - 1.5 * (double)a[i] + 0.5 * (double)b[i]) < 1e-6);
     kit_fails(bake_find(s, "", x, &e), ERR_ARG, e, "photograph");
     store_close(&s);
     kit_ok(store_open(f->plain, &s, &e), e); /* embeddings, but nothing to read them with */

@@ -1,4 +1,4 @@
-// GeoJSON (RFC 7946): longitude, latitude and, where there is one, the height above the ellipsoid.
+// GeoJSON (RFC 7946): longitude, latitude and, where there is one, the height, as the scene counts it.
 //
 // SPDX-License-Identifier: Apache-2.0
 import type { Place } from "./geo";

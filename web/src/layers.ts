@@ -36,7 +36,7 @@ export interface LayerOptions {
   // Default true.
   visible?: boolean;
   drape?: boolean; // GeoJSON; default: what has no heights
-  up?: number; // metres to raise it by: heights above the sea are not above the ellipsoid
+  up?: number; // metres to raise it by, where its heights count from something else than the scene's
   place?: ModelPlace; // of a model; default: what is in the middle of the picture
 }
 // What a layer is made of.

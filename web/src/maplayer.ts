@@ -4,7 +4,7 @@
 // The state of the context belongs to the map: nothing touches it outside render(), after which MapLibre
 // sets all of it anew. Tiles that come in between wait for the next frame.
 //
-// A map is flat (or a ball) and its heights begin at it; ours are above the ellipsoid. The city is one
+// A map is flat (or a ball) and its heights begin at it; ours are those of the data. The city is one
 // rigid body, true in size at its origin.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -26,7 +26,7 @@ export interface MapLayerOptions {
   url?: string | URL; // a citysplat server's folder or a tileset.json; default: the page's folder
   scene?: string; // its id; default: the first
   appearance?: string; // default: ""
-  // Metres from the map's zero up to the ellipsoid's, subtracted from all heights. "ground": the city
+  // Metres from the map's zero up to that of the data's heights, subtracted from all heights. "ground": the city
   // stands on the map. Default: 0 where the map has terrain, else "ground".
   lower?: number | "ground";
   memoryMb?: number; // for tiles, on the card and in the page together; default 512

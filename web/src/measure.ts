@@ -39,7 +39,7 @@ export function measure(points: Vector3[], kind: Kind): Measures {
   };
 }
 
-// RFC 7946: longitude, latitude, height above the ellipsoid.
+// RFC 7946: longitude, latitude, height as the scene counts it.
 export function toGeoJson(places: Place[], kind: Kind, values: Measures, volume: Volume | null = null): string {
   const at = places.map(({ lon, lat, h }) => [
     Number(lon.toFixed(8)),

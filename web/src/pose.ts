@@ -1,6 +1,6 @@
-// A camera as maps give it: a place on WGS 84 (degrees, ellipsoidal height), a heading clockwise
-// from north, a pitch above the horizon and a vertical field of view; heading and pitch are measured
-// in the horizon at the camera.
+// A camera as maps give it: a place on WGS 84 (degrees, height as the data have it), a heading clockwise from
+// north, a pitch above the horizon and a vertical field of view; heading and pitch are measured in the horizon
+// at the camera.
 //
 // SPDX-License-Identifier: Apache-2.0
 
@@ -8,7 +8,7 @@
 export interface Place {
   lon: number; // degrees
   lat: number; // degrees
-  h: number; // metres, as the data have them: above the ellipsoid
+  h: number; // metres, as the data have them
 }
 
 // A camera.

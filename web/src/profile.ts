@@ -24,7 +24,7 @@ export interface ProfilePoint {
   distance: number; // along the path, in the plan, metres
   lon: number;
   lat: number;
-  h: number | null; // above the ellipsoid; null where there is no surface
+  h: number | null; // as the scene counts it; null where there is no surface
 }
 export interface Profile {
   points: ProfilePoint[];

@@ -48,6 +48,7 @@ const WALK_ZOOM_M = 3; // that a press of a button to zoom walks,
 const WALK_WHEEL_M = 0.01; // a pixel of the wheel,
 const WALK_PINCH_M = 8; // and fingers, for each natural logarithm
 const TAP_S = 0.05; // a key counts for so long at least: a press may be over before the next frame, or lie in one after a rest
+const PRESS_MS = 600; // what is held longer is no click
 const TWICE_MS = 350; // between two presses of one
 const TWICE_PX = 20;
 const TWICE_ZOOM = 0.5;
@@ -107,6 +108,7 @@ export class Stage {
   private readonly throwing = new Vector3(); // metres a second
   private thrownAt = 0;
   private drag: Drag | null = null;
+  // Times of presses are those of their events: a slow frame between two of them does not count.
   private pressed = { x: 0, y: 0, at: 0, moved: false };
   private clicked = { x: 0, y: 0, at: -Infinity }; // the last one
   private flight: { from: Pose; to: Pose; at: number; ms: number; done: () => void } | null = null;
@@ -442,12 +444,12 @@ export class Stage {
     this.pointers.set(event.pointerId, at);
     const scrolls = event.pointerType === "touch" && this.shares();
     if (scrolls && this.pointers.size < 2) {
-      this.pressed = { ...at, at: performance.now(), moved: false };
+      this.pressed = { ...at, at: event.timeStamp, moved: false };
       this.drag = null;
       return;
     }
     this.takeOver();
-    this.pressed = { ...at, at: performance.now(), moved: this.pointers.size > 1 };
+    this.pressed = { ...at, at: event.timeStamp, moved: this.pointers.size > 1 };
     this.beginDrag(at, event.button === 2 || event.button === 1 || event.ctrlKey || event.shiftKey);
   }
 
@@ -539,7 +541,7 @@ export class Stage {
   private release(event: PointerEvent) {
     if (!this.pointers.delete(event.pointerId)) return;
     const { pressed } = this;
-    const still = !pressed.moved && performance.now() - pressed.at < 600;
+    const still = !pressed.moved && event.timeStamp - pressed.at < PRESS_MS;
     this.drag = null;
     if (performance.now() - this.thrownAt > 60) this.throwing.set(0, 0, 0);
     const [rest] = this.pointers.values();
@@ -549,7 +551,6 @@ export class Stage {
   }
 
   // Two presses of one place go nearer. The first is told at once, and taken back by the second.
-  // By the time of the events: a slow frame between them does not count.
   private click(x: number, y: number, at: number) {
     const { clicked } = this;
     const twice = at - clicked.at < TWICE_MS && Math.hypot(x - clicked.x, y - clicked.y) < TWICE_PX;

@@ -98,7 +98,7 @@ static void test_targets(void **state)
         {"/d/toy/static/nan,0,0@0,0/64x64.jpg", ERR_FORMAT, NULL},
         {"/d/toy/static/.5,0,0@0,0/64x64.jpg", ERR_FORMAT, NULL},
         {"/d/toy/static/1.,0,0@0,0/64x64.jpg", ERR_FORMAT, NULL},
-        {"/d/toy/static/1.1234567890123,0,0@0,0/64x64.jpg", ERR_FORMAT, NULL},
+        {"/d/toy/static/+1,0,0@0,0/64x64.jpg", ERR_FORMAT, NULL},
         {"/d/toy/static/0,0,0@0,0/64x64.glb", ERR_FORMAT, NULL},
         {"/d/toy/static/0,0,0@0,0/64x9999999999.jpg", ERR_FORMAT, NULL},
         {"/d/toy/static/181,0,0@0,0/64x64.jpg", ERR_DATA, NULL},
@@ -232,6 +232,58 @@ static void test_target_numbers(void **state)
     assert_int_equal(g.of_seed_moving.zooms.z_max, 16);
     assert_int_equal(g.of_seed_moving.page.bbox_e7[0], -15000000);
     assert_int_equal(g.of_seed_moving.page.bbox_e7[2], 32500000);
+}
+
+/* The same box as programs write it: by hand, as a form or URLSearchParams does, and a number with
+ * all digits of a double, which documents of the server have, too. */
+static void test_target_spellings(void **state)
+{
+    static const int32_t want[] = {-15000000, 475568840, 32500000, 480000000};
+    static const char *const same[] = {
+        "-1.5,47.556884,3.25,48",
+        "-1.5%2C47.556884%2C3.25%2C48",
+        "%2D1%2E5%2c%347.556884%2C3.25%2c48",
+        "-1.5,47.5568840235976123,3.25,48.00000000000000000001",
+        "-1.5,+47.556884,+3.25,%2B48",
+        "-1.5%2C+47.556884%2C+3.25%2C+48", /* "-1.5, 47.556884, 3.25, 48" of a form */
+    };
+    static const char *const none[] = {"-1.5%2C47.556884%2C3.25",
+                                       "-1.5%247.556884,3.25,48",
+                                       "-1.5%2C47.556884%2C3.25%2C48%2",
+                                       "-1.5%2C47.556884%2C3.25%2C4%00",
+                                       "--1.5,47,3,48",
+                                       "+-1.5,47,3,48"};
+    static const char *const lists[] = {"/collections?bbox=", "/d/toy/seed.ndjson?bbox="};
+    for (size_t k = 0; k < sizeof lists / sizeof *lists; k++) {
+        char text[200];
+        union target_any g;
+        for (size_t i = 0; i < sizeof same / sizeof *same; i++) {
+            struct err e = {0};
+            snprintf(text, sizeof text, "%s%s", lists[k], same[i]);
+            if (router_read(routes, text, strlen(text), &g, &e) ||
+                memcmp(k ? g.of_seed_moving.page.bbox_e7 : g.of_collections.box.bbox_e7, want,
+                       sizeof want) != 0)
+                fail_msg("'%s': %s", text, e.msg[0] ? e.msg : "another box");
+        }
+        for (size_t i = 0; i < sizeof none / sizeof *none; i++) {
+            snprintf(text, sizeof text, "%s%s", lists[k], none[i]);
+            if (router_read(routes, text, strlen(text), &g, NULL) != ERR_FORMAT)
+                fail_msg("'%s' is read", text);
+        }
+    }
+    struct err e = {0};
+    union target_any g;
+    const char *place = "/d/toy/height?lon=%2D7%2E5&lat=+47.5&gsd_m=0%2E25";
+    kit_ok(router_read(routes, place, strlen(place), &g, &e), e);
+    assert_int_equal(g.of_height.place.lon_e7, -75000000);
+    assert_int_equal(g.of_height.place.lat_e7, 475000000);
+    assert_int_equal(g.of_height.place.gsd_mm, 250);
+    const char *tile =
+        "/d/toy/t/17/70406/42987.drc?sh=%31&preset=near%2Dlossless&clip=1%2C2%2C3%2C2%2C2%2C4";
+    kit_ok(router_read(routes, tile, strlen(tile), &g, &e), e);
+    assert_int_equal(g.of_tile_moving.tiles.form.preset, QUANT_NEAR_LOSSLESS);
+    assert_int_equal(g.of_tile_moving.tiles.form.sh_degree, 1);
+    assert_int_equal(g.of_tile_moving.tiles.clip.n, 3);
 }
 
 /* Any bytes: no crash, no reading past the end (the copy is exactly as long as the text). */
@@ -369,9 +421,9 @@ static void test_conditions(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_targets),        cmocka_unit_test(test_target_unescaped),
-        cmocka_unit_test(test_target_numbers), cmocka_unit_test(test_target_any_bytes),
-        cmocka_unit_test(test_conditions),
+        cmocka_unit_test(test_targets),          cmocka_unit_test(test_target_unescaped),
+        cmocka_unit_test(test_target_numbers),   cmocka_unit_test(test_target_spellings),
+        cmocka_unit_test(test_target_any_bytes), cmocka_unit_test(test_conditions),
     };
     return cmocka_run_group_tests(tests, setup_routes, teardown_routes);
 }

@@ -654,7 +654,11 @@ static void what_is_no_look_is_a_clear_answer(void **state)
     } rows[] = {
         {METHOD_GET, "/d/lit/appearance?appearance=p9.jpg", NULL, 404, "p9.jpg"},
         {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:x", NULL, 400, "number"},
-        {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:1,p2.jpg:-1", NULL, 400, "add up to 0"},
+        {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:1,p2.jpg:-1", NULL, 400,
+         "add up to more than 0"},
+        {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:-1", NULL, 400, "add up to more than 0"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{\"p1.jpg\":-2,\"p2.jpg\":1}}", 400,
+         "add up to more than 0"},
         {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:1e308,p2.jpg:1e308", NULL, 400,
          "overflow"},
         {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:1,p2.jpg:-0.9999999", NULL, 400,

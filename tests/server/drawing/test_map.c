@@ -716,7 +716,7 @@ static void questions_are_answered(void **state)
          "no surface", 422},
         {"pick", "{\"x\": 1, \"y\": 1}", "one of the two", 422},
     };
-    struct reply r;
+    struct reply r, coarse, posted;
     if (!start_drawing())
         skip();
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
@@ -733,7 +733,16 @@ static void questions_are_answered(void **state)
     assert_string_equal(header(&r, "Content-Type"), "application/json");
     assert_non_null(strstr((const char *)r.body, "WGS 84 ellipsoid"));
     assert_true(strlen(header(&r, "ETag")) > 2);
+    ask("GET", "/d/survey/height?lon=8.6821&lat=50.1109&gsd_m=5", "", &coarse);
+    assert_int_equal(post("height", "{\"places\": [[8.6821, 50.1109]], \"gsd_m\": 5}", &posted),
+                     200);
+    assert_string_equal((const char *)coarse.body, (const char *)posted.body);
+    assert_string_not_equal((const char *)coarse.body, (const char *)r.body);
+    buf_free(&posted.raw);
+    buf_free(&coarse.raw);
     buf_free(&r.raw);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lat=50&gsd_m=0", ""), 422);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lat=50&gsd_m=1m", ""), 400);
     assert_int_equal(status_of("GET", "/d/survey/height", ""), 400);
     assert_int_equal(status_of("GET", "/d/survey/height?lon=8", ""), 400);
     assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lat=86", ""), 422);

@@ -1064,6 +1064,8 @@ static void test_check_and_exit_codes(void **state)
         {EX_CONFIG, "--cache-policy", {"--check", "--cache-policy", "x"}},
         {EX_CONFIG, "--address localhost", {"--check", "--address", "localhost"}},
         {EX_CONFIG, "--admin", {"--check", "--admin", "8078"}},
+        {EX_CONFIG, "the first listener is", {"--check", "--admin", "127.0.0.1:8080"}},
+        {0, "", {"--check", "--admin", "127.0.0.2:8080"}},
         {EX_CONFIG, "--public-url foo", {"--check", "--public-url", "foo"}},
         {EX_CONFIG, "--public-url", {"--check", "--public-url", "https://a.org/?x"}},
         {0, "", {"--check", "--public-url", "https://a.org:8443/b", "--admin", "[::1]:8078"}},
