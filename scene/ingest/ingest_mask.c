@@ -43,6 +43,8 @@ enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from,
                 out.px[i] = 0;
         }
     }
+    if (!rc && mask_is_empty(out.px, (size_t)w * h))
+        *made = INGEST_MASK_WHOLE;
     if (!rc)
         rc = image_write(to, &out, 0, NULL, e);
     image_free(&in);
