@@ -59,6 +59,11 @@ is 'heights of -9999' 0 $'2 rows have no coordinates and are left out\n10 photog
   ingest city/images city/sparse --positions unknown.csv
 is 'all photographs stay' 0 '12 of 12 photographs' ingest city/images city/sparse --positions unknown.csv
 
+printf 'EPSG:4326\n392740.9 5268339.1 280 10 10 %s g1\n' "${names[@]}" >"$work/utm.txt"
+sed -i '3,${/EPSG/d}' "$work/utm.txt"
+is 'metres in a list of degrees' 2 'utm.txt: line 2: ground control point g1: .* is no longitude and latitude' \
+  ingest city/images city/sparse --gcp utm.txt
+
 # ---- Gaussians: outliers, unusable rows, axes
 # ply FILE ROW...: an ASCII .ply of 3DGS: 100 in a box of 20 units, and more rows "x y z".
 ply() {
