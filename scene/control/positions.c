@@ -116,6 +116,9 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"altitude", COLUMN_Z},
                  {"elevation", COLUMN_Z},
                  {"ellipsoidal_height", COLUMN_Z},
+                 {"ellipsoid_height", COLUMN_Z},
+                 {"ell_height", COLUMN_Z},
+                 {"height_above_ellipsoid", COLUMN_Z},
                  {"ellh", COLUMN_Z},
                  {"gpsaltitude", COLUMN_Z},
                  {"accuracy_xy", COLUMN_PLAN},
@@ -129,8 +132,10 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"accuracy_y", COLUMN_NORTH},
                  {"sde", COLUMN_EAST},
                  {"sigma_e", COLUMN_EAST},
+                 {"std_east", COLUMN_EAST},
                  {"sdn", COLUMN_NORTH},
                  {"sigma_n", COLUMN_NORTH},
+                 {"std_north", COLUMN_NORTH},
                  {"accuracy_z", COLUMN_HEIGHT},
                  {"accuracy_vertical", COLUMN_HEIGHT},
                  {"vertical_accuracy", COLUMN_HEIGHT},
@@ -138,6 +143,7 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"elevation_rms", COLUMN_HEIGHT},
                  {"sdu", COLUMN_HEIGHT},
                  {"sigma_u", COLUMN_HEIGHT},
+                 {"std_up", COLUMN_HEIGHT},
                  {"sigma_z", COLUMN_HEIGHT},
                  {"accuracy", COLUMN_BOTH},
                  {"accuracy_x/y/z", COLUMN_BOTH},
@@ -150,7 +156,7 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
         if (!strncasecmp(plain, "lon", 3) || !strcasecmp(plain, "lng") ||
             !strcasecmp(plain, "gpslongitude"))
             *epsg = POSITIONS_LONLAT;
-        if (!strncasecmp(plain, "ell", 3))
+        if (!strncasecmp(plain, "ell", 3) || !strcasecmp(plain, "height_above_ellipsoid"))
             snprintf(heights, HEIGHTS_MAX, "ellipsoid");
         return words[w].column;
     }

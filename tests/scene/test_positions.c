@@ -336,6 +336,10 @@ static void tables_of_other_programs_are_read(void **state)
          "level\n",
          4326, 7.5, -47.5, -3, 0},
         {"image,lon,lat,height\nA.jpg,7.5E,-47 30,300 m\n", 4326, 7.5, -47.5, 300, 0},
+        /* WingtraHub: a blank behind the # */
+        {"# image name,latitude [decimal degrees],longitude [decimal degrees],altitude [meter],"
+         "yaw [degrees]\nA.jpg,47.5,7.5,300,0\n",
+         4326, 7.5, 47.5, 300, 0},
     };
     static const struct {
         const char *text, *heights;
@@ -344,6 +348,10 @@ static void tables_of_other_programs_are_read(void **state)
         {"image,lon,lat,altitude,ellipsoidal_height\nA.jpg,7.5,47.5,300,350\n", "unknown", 0},
         {"image,lon,lat,ellipsoidal_height,altitude\nA.jpg,7.5,47.5,300,350\n", "ellipsoid", 0},
         {"EPSG:4979\nA.jpg 7.5 47.5 300\n", "ellipsoid", 0},
+        {"Filename,Longitude (deg),Latitude (deg),Height above ellipsoid (m),Std East (m),"
+         "Std North (m),Std Up (m)\nA.jpg,7.5,47.5,300,3,3,3\n",
+         "ellipsoid", 3},
+        {"Photo,Latitude,Longitude,Ell Height (m)\nA.jpg,47.5,7.5,300\n", "ellipsoid", 0},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,1e30\n", "unknown", 1e4},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,inf\n", "unknown", 1e4},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,-\n", "unknown", 0}};
