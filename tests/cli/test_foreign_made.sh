@@ -92,6 +92,8 @@ is 'a standard deviation of 163 km' 0 '1 Gaussians lie more than .*or are so lar
 is 'the same, left out' 0 '1 Gaussians lie more than .*left out' import large.ply --origin 8,50,100 --drop-outliers
 sed -i '$s/12 -3 -4/60 -3 60/' "$work/large.ply"
 is 'one of 1e26 m' 1 'row 101 .*or is so large.*--drop-outliers' import large.ply --origin 8,50,100
+awk 'NF == 14 { $1 += 392740; $2 += 5268339 } 1' "$work/plain.ply" | sed 's/float \([xyz]\)$/double \1/' >"$work/utm.ply"
+is 'coordinates of a map' 1 'middle of the Gaussians, 3927[0-9]+ 52683[0-9]+ 1, lies 5283 km .*Subtract' import utm.ply --origin 7.57,47.56,0
 is 'info of them' 0 'unusable +1' "$bin" info far.ply
 is 'axes that nobody says, .ply to .glb' 0 'axes' "$bin" convert plain.ply as_is.glb --overwrite
 is 'axes that are said, .ply to .spz' 0 'gaussians=100' "$bin" convert plain.ply up.spz --axes enu --overwrite
