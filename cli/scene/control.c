@@ -63,6 +63,13 @@ enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, 
                      path);
     if (!rc && epsg != GCP_LONLAT)
         rc = crs_open(epsg, &crs, e);
+    for (size_t i = 0; !rc && !crs && i < l->n; i++)
+        if (fabs(l->gcps[i].at[0]) > 360 || fabs(l->gcps[i].at[1]) > 90)
+            rc =
+                err_set(e, ERR_ARG,
+                        "%s: line %zu: ground control point %s: %.9g %.9g is no longitude and "
+                        "latitude: name the coordinate system that these are in, or swap x and y",
+                        path, l->gcps[i].line, l->gcps[i].name, l->gcps[i].at[0], l->gcps[i].at[1]);
     for (size_t i = 0; !rc && crs && i < l->n; i++) {
         struct gcp *g = &l->gcps[i];
         rc = crs_unproject(crs, 1, &g->at[0], &g->at[1], e);

@@ -199,6 +199,15 @@ static enum err_code import_far_find(const struct gauss *g, struct import_far *f
                        "are for cities: --scale is metres per unit of the file; is it right?",
                        1e-3 * half_m);
     }
+    const double off_m = hypot(f->middle[0], f->middle[1]);
+    if (off_m > IMPORT_WIDE_M) {
+        mem_free(v);
+        return err_set(e, ERR_DATA,
+                       "the middle of the Gaussians, %.0f %.0f %.0f, lies %.0f km from the origin: "
+                       "are these coordinates of a map, as UTM? Subtract those of one place and "
+                       "give that as --origin, or give a file of three places",
+                       f->middle[0], f->middle[1], f->middle[2], 1e-3 * off_m);
+    }
     f->limit_m = fmax(IMPORT_FAR_LEAST_M, IMPORT_FAR_TIMES * half_m);
     for (size_t i = n = 0; i < 3 * g->n; i++)
         if (isfinite(g->scale_log[i]))

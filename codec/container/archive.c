@@ -109,7 +109,9 @@ enum err_code archive_get(struct archive_reader *z, const char *name, size_t mos
                           struct err *e)
 {
     zip_stat_t st;
-    if (zip_stat(z->archive, name, 0, &st) != 0 || !(st.valid & ZIP_STAT_SIZE))
+    if ((zip_stat(z->archive, name, 0, &st) != 0 &&
+         zip_stat(z->archive, name, ZIP_FL_NODIR, &st) != 0) ||
+        !(st.valid & ZIP_STAT_SIZE))
         return err_set(e, ERR_FORMAT, "zip: %s is missing", name);
     if (st.size > most)
         return err_set(e, ERR_LIMIT, "zip: %s: %llu bytes: %zu are expected at most", name,

@@ -66,10 +66,12 @@ static bool drone_gimbal(const struct drone_source *s, double up[3])
 {
     static const char *const pitches[] = {"drone-dji:GimbalPitchDegree",
                                           "drone-autel:GimbalPitchDegree",
-                                          "drone-parrot:CameraPitchDegree", NULL},
+                                          "drone-parrot:CameraPitchDegree",
+                                          "drone-skydio:CameraOrientationNED/Pitch", NULL},
                              *const rolls[] = {"drone-dji:GimbalRollDegree",
                                                "drone-autel:GimbalRollDegree",
-                                               "drone-parrot:CameraRollDegree", NULL};
+                                               "drone-parrot:CameraRollDegree",
+                                               "drone-skydio:CameraOrientationNED/Roll", NULL};
     double pitch, roll;
     if (!drone_number(s, pitches, -180, 180, &pitch) || !drone_number(s, rolls, -360, 360, &roll))
         return false;
@@ -131,10 +133,16 @@ static bool drone_angle(const struct drone_source *s, const char *const *names, 
 static void drone_position(const struct drone_source *s, struct drone_meta *out)
 {
     /* The first is DJI's own spelling. */
-    static const char *const lon[] = {"drone-dji:GpsLongtitude", "drone-dji:GpsLongitude",
-                                      "drone-autel:GpsLongitude", "exif:GPSLongitude", NULL},
-                             *const lat[] = {"drone-dji:GpsLatitude", "drone-autel:GpsLatitude",
-                                             "exif:GPSLatitude", NULL};
+    static const char *const lon[] = {"drone-dji:GpsLongtitude",
+                                      "drone-dji:GpsLongitude",
+                                      "drone-dji:Longitude",
+                                      "drone-autel:GpsLongitude",
+                                      "drone-skydio:Longitude",
+                                      "exif:GPSLongitude",
+                                      NULL},
+                             *const lat[] = {"drone-dji:GpsLatitude",   "drone-dji:Latitude",
+                                             "drone-autel:GpsLatitude", "drone-skydio:Latitude",
+                                             "exif:GPSLatitude",        NULL};
     out->has_position = drone_angle(s, lat, 90, &out->lat_deg) &&
                         drone_angle(s, lon, 180, &out->lon_deg) &&
                         (out->lat_deg != 0 || out->lon_deg != 0);

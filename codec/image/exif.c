@@ -55,6 +55,7 @@ enum {
     TYPE_SRATIONAL = 10,
     TYPE_FLOAT = 11,
     TYPE_DOUBLE = 12,
+    TYPE_IFD = 13,           /* of Adobe's supplement to TIFF, as libtiff writes it */
     HEAD_BYTES = 256 * 1024, /* a segment is at most 64 KiB; those of interest come first */
     EXIF_PACKETS = 8,
     EXIF_INFLATED_MAX = 1 << 20,
@@ -84,7 +85,7 @@ static uint32_t exif_tiff_uint(const struct tiff *t, const uint8_t *p, unsigned 
 
 static size_t exif_type_bytes(unsigned type)
 {
-    static const uint8_t size[] = {0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8};
+    static const uint8_t size[] = {0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4};
     return type < sizeof size ? size[type] : 0;
 }
 
@@ -145,6 +146,7 @@ static bool exif_field_num(const struct tiff *t, const struct field *f, size_t i
     case TYPE_BYTE:
     case TYPE_SHORT:
     case TYPE_LONG:
+    case TYPE_IFD:
         *out = v;
         break;
     case TYPE_SBYTE:
@@ -312,8 +314,8 @@ struct exif_bytes {
 struct exif_parts { /* {0}, then exif_find; exif_parts_free it */
     struct exif_bytes exif, packet[EXIF_PACKETS];
     size_t n_packets;
-    /* Packets that the file does not have in one piece: put together, or inflated. */
-    struct buf extended, inflated;
+    /* What the file does not have in one piece: put together, inflated, or in digits. */
+    struct buf extended, inflated, profile;
     bool cut; /* the bytes end before all of them could come */
 };
 
@@ -321,6 +323,7 @@ static void exif_parts_free(struct exif_parts *x)
 {
     buf_free(&x->extended);
     buf_free(&x->inflated);
+    buf_free(&x->profile);
 }
 
 static void exif_packet(struct exif_parts *x, const uint8_t *p, size_t n)
@@ -401,6 +404,16 @@ static void exif_find_jpeg(const uint8_t *p, size_t n, struct exif_parts *x)
     x->cut = at + 4 > n;
 }
 
+static bool exif_inflate(const uint8_t *p, size_t n, struct buf *out)
+{
+    uLongf got = EXIF_INFLATED_MAX;
+    uint8_t *room = out->size ? NULL : buf_grow(out, EXIF_INFLATED_MAX);
+    if (!room || uncompress(room, &got, p, (uLong)n) != Z_OK)
+        return false;
+    out->size = got;
+    return true;
+}
+
 /* A text chunk: keyword, whether it is compressed, how, two texts, and the packet. */
 static void exif_chunk_packet(struct exif_parts *x, const uint8_t *p, size_t n)
 {
@@ -412,14 +425,47 @@ static void exif_chunk_packet(struct exif_parts *x, const uint8_t *p, size_t n)
         at = memchr(at, 0, (size_t)(end - at));
         at = at ? at + 1 : NULL;
     }
-    if (!at || !p[sizeof key]) {
+    if (!at || !p[sizeof key])
         exif_packet(x, at, at ? (size_t)(end - at) : 0);
+    else if (exif_inflate(at, (size_t)(end - at), &x->inflated))
+        exif_packet(x, x->inflated.data, x->inflated.size);
+}
+
+static int exif_digit(uint8_t c)
+{
+    return c >= '0' && c <= '9'                     ? c - '0'
+           : (c | 0x20) >= 'a' && (c | 0x20) <= 'f' ? (c | 0x20) - 'a' + 10
+                                                    : -1;
+}
+
+/* How Exiv2 and ImageMagick wrote EXIF before PNG had eXIf: keyword, how it is compressed, then
+ * "\nexif\n  LENGTH\n" and a segment of a JPEG as digits of 16. */
+static void exif_chunk_profile(struct exif_parts *x, const uint8_t *p, size_t n, bool packed)
+{
+    static const char *const keys[] = {"Raw profile type exif", "Raw profile type APP1"};
+    struct buf text = {0};
+    const size_t head = strlen(keys[0]) + 1 + packed; /* both are as long */
+    if (n < head || x->profile.size ||
+        (memcmp(p, keys[0], head - packed) && memcmp(p, keys[1], head - packed)))
         return;
+    const uint8_t *at = p + head, *end = p + n;
+    if (packed && exif_inflate(at, n - head, &text)) {
+        at = text.data;
+        end = at + text.size;
     }
-    uLongf got = EXIF_INFLATED_MAX;
-    uint8_t *room = x->inflated.size ? NULL : buf_grow(&x->inflated, EXIF_INFLATED_MAX);
-    if (room && uncompress(room, &got, at, (uLong)(end - at)) == Z_OK)
-        exif_packet(x, room, got);
+    for (int line = 0; line < 3 && at < end; line++)
+        while (at < end && *at++ != '\n')
+            ;
+    for (int high = -1; at < end; at++) {
+        const int digit = exif_digit(*at);
+        if (digit >= 0 && high >= 0)
+            buf_u8(&x->profile, (unsigned)(high << 4 | digit));
+        if (digit >= 0)
+            high = high < 0 ? digit : -1;
+    }
+    buf_free(&text);
+    if (!x->profile.failed)
+        exif_segment(x, x->profile.data, x->profile.size);
 }
 
 static void exif_find_png(const uint8_t *p, size_t n, struct exif_parts *x)
@@ -432,6 +478,8 @@ static void exif_find_png(const uint8_t *p, size_t n, struct exif_parts *x)
             x->exif = (struct exif_bytes){p + at + 8, len};
         if (!memcmp(p + at + 4, "iTXt", 4))
             exif_chunk_packet(x, p + at + 8, len);
+        if (!memcmp(p + at + 4, "zTXt", 4) || !memcmp(p + at + 4, "tEXt", 4))
+            exif_chunk_profile(x, p + at + 8, len, p[at + 4] == 'z');
         at += 12 + len;
     }
     x->cut = true; /* they may stand behind the picture */

@@ -69,6 +69,25 @@ static void xmp_name(const struct xmp_reader *r, const char *name, char out[XMP_
         out[0] = '\0';
 }
 
+/* The same of an element or attribute within `deep` open elements. A member of a structure is named
+ * after both. */
+static void xmp_member(const struct xmp_reader *r, size_t deep, const char *name,
+                       char out[XMP_NAME])
+{
+    char member[XMP_NAME];
+    const char *within = "";
+    xmp_name(r, name, out);
+    if (!*out || !strncmp(out, "rdf:", 4))
+        return;
+    for (deep = deep < XMP_DEEP ? deep : XMP_DEEP; deep > 0 && !*within; deep--)
+        within = strncmp(r->name[deep - 1], "rdf:", 4) ? r->name[deep - 1] : "";
+    if (!*within)
+        return;
+    if (snprintf(member, sizeof member, "%s/%s", within, strchr(out, ':') + 1) >= XMP_NAME)
+        member[0] = '\0';
+    memcpy(out, member, strlen(member) + 1);
+}
+
 /* Without blanks around it. */
 static void xmp_keep(struct xmp_reader *r, const char *name, const char *text)
 {
@@ -96,13 +115,13 @@ static void XMLCALL xmp_open(void *user, const XML_Char *name, const XML_Char **
             xmp_declare(r, att[i] + 6, att[i + 1]);
         else if (!strcmp(att[i], "xmlns"))
             xmp_declare(r, "", att[i + 1]);
+    if (r->deep < XMP_DEEP)
+        xmp_member(r, r->deep, name, r->name[r->deep]);
+    r->deep++;
     for (size_t i = 0; att[i]; i += 2) {
-        xmp_name(r, att[i], full);
+        xmp_member(r, r->deep, att[i], full);
         xmp_keep(r, full, att[i + 1]);
     }
-    if (r->deep < XMP_DEEP)
-        xmp_name(r, name, r->name[r->deep]);
-    r->deep++;
     r->n_text = 0;
 }
 

@@ -21,7 +21,8 @@ struct xmp { /* {0} is empty */
 };
 /* Adds the properties of a packet of drones, of Pix4D and of EXIF; of two of one name the first
  * stays. They may be attributes or elements, and have any prefix: "drone-dji:RelativeAltitude"
- * means the property of that name in DJI's namespace. Longer texts than XMP_TEXT and document types
+ * means the property of that name in DJI's namespace. A member of a structure has the name of both:
+ * "drone-skydio:CameraOrientationNED/Pitch". Longer texts than XMP_TEXT and document types
  * are left out. Of a packet that is no XML, the values that stand in it are read. Any thread. */
 void xmp_add(struct xmp *x, const void *packet, size_t n);
 /* Writes the text of a property without blanks around it; `xmp` is a struct xmp. Returns false if

@@ -23,7 +23,7 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
 }
 
 /* `from` is freed. */
-static enum err_code mask_take(const char *path, struct image *from, uint32_t width_px,
+static enum err_code mask_take(const char *path, struct image *from, uint8_t use, uint32_t width_px,
                                uint32_t height_px, struct image *out, struct err *e)
 {
     struct image img = *from;
@@ -35,9 +35,19 @@ static enum err_code mask_take(const char *path, struct image *from, uint32_t wi
     if (!rc)
         rc = image_alloc(width_px, height_px, 1, out, e);
     for (size_t i = 0; !rc && i < (size_t)width_px * height_px; i++)
-        out->px[i] = img.px[i * img.channels] < MASK_USE ? 0 : 255;
+        out->px[i] = img.px[i * img.channels] < use ? 0 : 255;
     image_free(&img);
     return rc;
+}
+
+/* The least value that means use. Where nothing is bright, values are numbers, as of a mask of 0 and
+ * 1: all but 0 mean use, as for COLMAP. */
+static uint8_t mask_use_from(const struct image *img)
+{
+    for (size_t i = 0; i < (size_t)img->width_px * img->height_px; i++)
+        if (img->px[i * img->channels] >= MASK_USE)
+            return MASK_USE;
+    return 1;
 }
 
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
@@ -46,10 +56,10 @@ enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px,
     struct image img = {0};
     *out = (struct image){0};
     enum err_code rc = image_read(path, NULL, &img, e);
-    return rc ? rc : mask_take(path, &img, width_px, height_px, out, e);
+    return rc ? rc : mask_take(path, &img, mask_use_from(&img), width_px, height_px, out, e);
 }
 
-static bool mask_is_empty(const uint8_t *px, size_t n)
+bool mask_is_empty(const uint8_t *px, size_t n)
 {
     for (size_t i = 0; i < n; i++)
         if (px[i])
@@ -64,7 +74,7 @@ enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t hei
     *out = (struct image){0};
     enum err_code rc = image_read_alpha(photo, NULL, &img, e);
     if (!rc && img.px)
-        rc = mask_take(photo, &img, width_px, height_px, out, e);
+        rc = mask_take(photo, &img, MASK_USE, width_px, height_px, out, e);
     const size_t n = (size_t)out->width_px * out->height_px;
     *blank = !rc && out->px && mask_is_empty(out->px, n);
     if (!rc && out->px && (*blank || !memchr(out->px, 0, n)))

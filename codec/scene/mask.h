@@ -1,7 +1,7 @@
 /* Masks: pixels of a photograph to ignore (moving things, the sky, the drone itself).
  *
  * They follow COLMAP's convention: one 8-bit picture a photograph, named <photograph's name>.png. A
- * value below 128 means ignore (COLMAP: 0). Ingest removes lens distortion from masks and stores
+ * value below 128 means ignore; where none is above, 0 does (so in COLMAP). Ingest removes lens distortion from masks and stores
  * them as scene/masks/<name>.png. A photograph without a mask is used whole.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -9,6 +9,7 @@
 #ifndef CODEC_MASK_H
 #define CODEC_MASK_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -26,6 +27,8 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
  * file: the mask has another size. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in image_read. */
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
                         struct err *e) ERR_USE;
+/* Whether all of it is ignored. */
+bool mask_is_empty(const uint8_t *px, size_t n);
 /* As mask_read, from the alpha of a photograph. out->px is NULL if it has none, none below 128, or
  * nothing else (*blank), which is no mask. ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code mask_read_alpha(const char *photo, uint32_t width_px, uint32_t height_px,

@@ -90,6 +90,8 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"sourcefile", COLUMN_IMAGE},
                  {"file_name", COLUMN_IMAGE},
                  {"image_name", COLUMN_IMAGE},
+                 {"photo_name", COLUMN_IMAGE},
+                 {"image_filename", COLUMN_IMAGE},
                  {"imagename", COLUMN_IMAGE},
                  {"name", COLUMN_IMAGE},
                  {"label", COLUMN_IMAGE},
@@ -114,6 +116,9 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"altitude", COLUMN_Z},
                  {"elevation", COLUMN_Z},
                  {"ellipsoidal_height", COLUMN_Z},
+                 {"ellipsoid_height", COLUMN_Z},
+                 {"ell_height", COLUMN_Z},
+                 {"height_above_ellipsoid", COLUMN_Z},
                  {"ellh", COLUMN_Z},
                  {"gpsaltitude", COLUMN_Z},
                  {"accuracy_xy", COLUMN_PLAN},
@@ -127,8 +132,10 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"accuracy_y", COLUMN_NORTH},
                  {"sde", COLUMN_EAST},
                  {"sigma_e", COLUMN_EAST},
+                 {"std_east", COLUMN_EAST},
                  {"sdn", COLUMN_NORTH},
                  {"sigma_n", COLUMN_NORTH},
+                 {"std_north", COLUMN_NORTH},
                  {"accuracy_z", COLUMN_HEIGHT},
                  {"accuracy_vertical", COLUMN_HEIGHT},
                  {"vertical_accuracy", COLUMN_HEIGHT},
@@ -136,6 +143,7 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
                  {"elevation_rms", COLUMN_HEIGHT},
                  {"sdu", COLUMN_HEIGHT},
                  {"sigma_u", COLUMN_HEIGHT},
+                 {"std_up", COLUMN_HEIGHT},
                  {"sigma_z", COLUMN_HEIGHT},
                  {"accuracy", COLUMN_BOTH},
                  {"accuracy_x/y/z", COLUMN_BOTH},
@@ -148,7 +156,7 @@ static enum column positions_column(const char *word, int *epsg, char heights[HE
         if (!strncasecmp(plain, "lon", 3) || !strcasecmp(plain, "lng") ||
             !strcasecmp(plain, "gpslongitude"))
             *epsg = POSITIONS_LONLAT;
-        if (!strncasecmp(plain, "ell", 3))
+        if (!strncasecmp(plain, "ell", 3) || !strcasecmp(plain, "height_above_ellipsoid"))
             snprintf(heights, HEIGHTS_MAX, "ellipsoid");
         return words[w].column;
     }
@@ -167,7 +175,23 @@ struct positions_head {
     size_t column[COLUMNS], wide;
     size_t enabled; /* Metashape's column of photographs that are switched on; SIZE_MAX: none */
     size_t n_off;   /* rows of photographs that are not */
+    /* ExifTool's columns that say whether x, y and z count to the west, south and down */
+    size_t ref[COLUMN_Z + 1];
 };
+
+/* x, y or z, if this is the heading of its direction: "GPSLongitudeRef"; COLUMNS: it is not. */
+static enum column positions_ref_of(const char *word)
+{
+    char plain[TABLE_HEADING], heights[HEIGHTS_MAX];
+    int epsg = 0;
+    table_heading(word, plain);
+    const size_t n = strlen(plain);
+    if (n <= 3 || strcasecmp(plain + n - 3, "ref"))
+        return COLUMNS;
+    plain[n - 3 - (plain[n - 4] == '_')] = '\0';
+    const enum column c = positions_column(plain, &epsg, heights);
+    return c >= COLUMN_X && c <= COLUMN_Z ? c : COLUMNS;
+}
 
 /* Metres and degrees: a heading with another unit would give silent nonsense. */
 static enum err_code positions_check_unit(const struct table *t, const char *field, struct err *e)
@@ -193,7 +217,12 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
     h->enabled = SIZE_MAX;
     for (size_t c = 0; c < COLUMNS; c++)
         h->column[c] = SIZE_MAX;
+    for (size_t c = 0; c <= COLUMN_Z; c++)
+        h->ref[c] = SIZE_MAX;
     for (size_t i = 0; i < h->wide; i++) {
+        const enum column of = positions_ref_of(field[i]);
+        if (of != COLUMNS)
+            h->ref[of] = i;
         int lonlat = 0;
         char heights[HEIGHTS_MAX] = "";
         const enum column c = positions_column(field[i], &lonlat, heights);
@@ -260,9 +289,60 @@ static bool positions_sigma(const char *field, double *out)
     return end != field && !*end;
 }
 
+/* Degrees as ExifTool and surveyors write them: 47 deg 33' 28.79" N, 47°33.48'S, 7:34:23.2 W. */
+static bool positions_angle(const char *text, const char letters[3], double *out)
+{
+    static const char between[] = " :'\"deg\xc2\xb0\xba\xe2\x80\xb2\xb3\x99\x9d"; /* ° º ′ ″ ’ ” */
+    double part[3] = {0};
+    const char *p = text;
+    for (size_t n = 0, apart = 1; n < 3 && apart; n++) {
+        char *end;
+        part[n] = strtod(p, &end);
+        if (end == p && n == 0)
+            return false;
+        apart = strspn(end, between);
+        p = end + apart;
+    }
+    const char letter = *p ? (char)(*p | 0x20) : '\0';
+    *out = fabs(part[0]) + part[1] / 60 + part[2] / 3600;
+    if (signbit(part[0]) || letter == letters[1])
+        *out = -*out;
+    return part[1] >= 0 && part[1] < 60 && part[2] >= 0 && part[2] < 60 && isfinite(*out) &&
+           (!letter || (strchr(letters, letter) && !p[1]));
+}
+
+/* "426.8 m Above Sea Level" */
+static bool positions_altitude(const char *text, double *out)
+{
+    char *end;
+    *out = strtod(text, &end);
+    end += strspn(end, " ");
+    if (end == text || *end != 'm' || !isfinite(*out))
+        return false;
+    end += 1 + strspn(end + 1, " ");
+    const bool below = !strcasecmp(end, "below sea level");
+    *out = below ? -fabs(*out) : *out;
+    return below || !*end || !strcasecmp(end, "above sea level");
+}
+
+/* x, y or z of a row; its direction may stand in another column. */
+static bool positions_coordinate(const struct positions_head *h, enum column c, bool lonlat,
+                                 char *const field[TABLE_FIELDS], size_t wide, double *out)
+{
+    const char *text = field[h->column[c]];
+    const char *ref = h->ref[c] < wide ? field[h->ref[c]] : "";
+    if (!table_number(text, out) &&
+        !(c == COLUMN_Z ? positions_altitude(text, out)
+                        : lonlat && positions_angle(text, c == COLUMN_X ? "ew" : "ns", out)))
+        return false;
+    if (*ref && strchr(c == COLUMN_X ? "Ww" : c == COLUMN_Y ? "Ss" : "1Bb", *ref))
+        *out = -fabs(*out);
+    return true;
+}
+
 /* Numbers of a row. `wide` is how many fields it has. */
 static enum err_code positions_numbers(const struct table *t, const struct positions_head *h,
-                                       char *const field[TABLE_FIELDS], size_t wide,
+                                       bool lonlat, char *const field[TABLE_FIELDS], size_t wide,
                                        double v[COLUMNS], struct err *e)
 {
     static const char *const what[] = {"", "x (or lon)", "y (or lat)", "z (or height)"};
@@ -274,7 +354,8 @@ static enum err_code positions_numbers(const struct table *t, const struct posit
                            "%s: line %zu: %s is missing: give it, or remove the line", t->path,
                            t->line, what[c]);
         if (there &&
-            !(c <= COLUMN_Z ? table_number(field[i], &v[c]) : positions_sigma(field[i], &v[c])))
+            !(c <= COLUMN_Z ? positions_coordinate(h, (enum column)c, lonlat, field, wide, &v[c])
+                            : positions_sigma(field[i], &v[c])))
             return err_set(e, ERR_FORMAT,
                            "%s: line %zu: field %zu, '%.40s', is no number: write %s", t->path,
                            t->line, i + 1, field[i],
@@ -321,7 +402,7 @@ static enum err_code positions_csv_row(struct table *t, struct positions_head *h
         h->n_off++;
         return ERR_OK;
     }
-    const enum err_code rc = positions_numbers(t, h, field, n, v, e);
+    const enum err_code rc = positions_numbers(t, h, p->epsg == POSITIONS_LONLAT, field, n, v, e);
     if (rc)
         return rc;
     const char *image = h->column[COLUMN_IMAGE] < n ? field[h->column[COLUMN_IMAGE]] : "";
@@ -385,7 +466,7 @@ static bool positions_geo_head(const char *line, struct positions *p, struct pos
     if (!positions_take_system(line, p) &&
         *line != '+') /* a system by PROJ may have no code here */
         return false;
-    h->enabled = SIZE_MAX;
+    h->enabled = h->ref[COLUMN_X] = h->ref[COLUMN_Y] = h->ref[COLUMN_Z] = SIZE_MAX;
     for (size_t c = 0; c < COLUMNS; c++)
         h->column[c] = c <= COLUMN_Z ? c : SIZE_MAX;
     h->column[COLUMN_PLAN] = 7;

@@ -198,7 +198,7 @@ size_t table_split(char *text, char comma, char *field[TABLE_FIELDS])
 void table_heading(const char *field, char out[TABLE_HEADING])
 {
     size_t n = 0;
-    field += *field == '#';
+    field += *field == '#' ? 1 + strspn(field + 1, " \t") : 0;
     if (*field && field[1] == '/')
         field += 2;
     for (const char *p = field; *p && !strchr("([{", *p) && n + 1 < TABLE_HEADING; p++)

@@ -330,6 +330,8 @@ static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_p
     enum ingest_mask made = INGEST_MASK_NONE;
     enum err_code rc =
         g->cfg->mask_dir ? mask_path(g->cfg->mask_dir, p->image->name, from, e) : ERR_OK;
+    if (!rc && from[0] && !file_exists(from)) /* the model may write the name otherwise */
+        rc = mask_path(g->cfg->mask_dir, p->file, from, e);
     const bool alpha = !rc && !(from[0] && file_exists(from));
     bool sky = false;
     const char *dot = strrchr(photo, '.');
@@ -345,11 +347,12 @@ static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_p
     if (!rc && !opaque)
         rc = ingest_mask_convert(&g->views[p->view], alpha ? photo : from, alpha, to, &made, e);
     if (!rc)
-        rc = ingest_sky_mask(&g->scene, cam, to, made == INGEST_MASK_MADE, &sky, e);
+        rc = ingest_sky_mask(&g->scene, cam, to, made >= INGEST_MASK_MADE, &sky, e);
     if (made == INGEST_MASK_BLANK)
         atomic_fetch_add(&g->blanks, 1);
-    if (made == INGEST_MASK_MADE)
+    if (made >= INGEST_MASK_MADE)
         atomic_fetch_add(alpha ? &g->alphas : &g->masks, 1);
+    atomic_fetch_add(&g->wholes, made == INGEST_MASK_WHOLE);
     atomic_fetch_add(&g->skies, sky);
     return rc;
 }
@@ -520,6 +523,9 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
     if (!rc && atomic_load(&g->blanks))
         log_warn("ingest", "%zu photographs have the alpha 0 everywhere: it does not count",
                  atomic_load(&g->blanks));
+    if (!rc && atomic_load(&g->wholes))
+        log_warn("ingest", "%zu photographs are masked whole: nothing of them trains or is scored",
+                 atomic_load(&g->wholes));
     if (!rc && atomic_load(&g->alphas))
         log_info("ingest", "%zu photographs have transparent pixels: these are masked",
                  atomic_load(&g->alphas));

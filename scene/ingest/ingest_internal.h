@@ -126,6 +126,7 @@ struct ingest {
     atomic_flag progress_busy;         /* only its holder may use `progress` */
     atomic_size_t done, masks, alphas; /* masks of --mask-dir, and by alpha */
     atomic_size_t blanks;              /* photographs whose alpha is 0 everywhere */
+    atomic_size_t wholes;              /* photographs of which a mask leaves nothing */
     atomic_size_t skies;               /* photographs that show the sky */
     size_t points[INGEST_POINT_VERDICTS];
 };
@@ -187,9 +188,9 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 /* ---- ingest_mask.c ---- */
 
 /* Converts the mask of a photograph, or the photograph's own alpha, for its pinhole picture, as
- * PNG. *made: whether there was one; an alpha of 0 everywhere is none. ERR_NOENT, ERR_FORMAT,
+ * PNG. *made: whether there was one, and whether it leaves nothing; an alpha of 0 everywhere is none. ERR_NOENT, ERR_FORMAT,
  * ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
-enum ingest_mask { INGEST_MASK_NONE, INGEST_MASK_BLANK, INGEST_MASK_MADE };
+enum ingest_mask { INGEST_MASK_NONE, INGEST_MASK_BLANK, INGEST_MASK_MADE, INGEST_MASK_WHOLE };
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
                                   const char *to, enum ingest_mask *made, struct err *e) ERR_USE;
 

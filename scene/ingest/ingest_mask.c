@@ -16,9 +16,10 @@ enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from,
     struct image in = {0}, out = {0};
     uint32_t w = v->pinhole.width_px, h = v->pinhole.height_px;
     bool blank = false;
-    enum err_code rc =
-        alpha ? mask_read_alpha(from, v->lens.width_px, v->lens.height_px, &in, &blank, e)
-              : mask_read(from, v->lens.width_px, v->lens.height_px, &in, e);
+    /* A mask with transparent pixels is a cutout, whose colours are those of the photograph. */
+    enum err_code rc = mask_read_alpha(from, v->lens.width_px, v->lens.height_px, &in, &blank, e);
+    if (!rc && !alpha && !in.px)
+        rc = mask_read(from, v->lens.width_px, v->lens.height_px, &in, e);
     *made = rc      ? INGEST_MASK_NONE
             : in.px ? INGEST_MASK_MADE
             : blank ? INGEST_MASK_BLANK
@@ -43,6 +44,8 @@ enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from,
                 out.px[i] = 0;
         }
     }
+    if (!rc && mask_is_empty(out.px, (size_t)w * h))
+        *made = INGEST_MASK_WHOLE;
     if (!rc)
         rc = image_write(to, &out, 0, NULL, e);
     image_free(&in);

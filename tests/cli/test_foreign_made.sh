@@ -59,6 +59,11 @@ is 'heights of -9999' 0 $'2 rows have no coordinates and are left out\n10 photog
   ingest city/images city/sparse --positions unknown.csv
 is 'all photographs stay' 0 '12 of 12 photographs' ingest city/images city/sparse --positions unknown.csv
 
+printf 'EPSG:4326\n392740.9 5268339.1 280 10 10 %s g1\n' "${names[@]}" >"$work/utm.txt"
+sed -i '3,${/EPSG/d}' "$work/utm.txt"
+is 'metres in a list of degrees' 2 'utm.txt: line 2: ground control point g1: .* is no longitude and latitude' \
+  ingest city/images city/sparse --gcp utm.txt
+
 # ---- Gaussians: outliers, unusable rows, axes
 # ply FILE ROW...: an ASCII .ply of 3DGS: 100 in a box of 20 units, and more rows "x y z".
 ply() {
@@ -87,6 +92,8 @@ is 'a standard deviation of 163 km' 0 '1 Gaussians lie more than .*or are so lar
 is 'the same, left out' 0 '1 Gaussians lie more than .*left out' import large.ply --origin 8,50,100 --drop-outliers
 sed -i '$s/12 -3 -4/60 -3 60/' "$work/large.ply"
 is 'one of 1e26 m' 1 'row 101 .*or is so large.*--drop-outliers' import large.ply --origin 8,50,100
+awk 'NF == 14 { $1 += 392740; $2 += 5268339 } 1' "$work/plain.ply" | sed 's/float \([xyz]\)$/double \1/' >"$work/utm.ply"
+is 'coordinates of a map' 1 'middle of the Gaussians, 3927[0-9]+ 52683[0-9]+ 1, lies 5283 km .*Subtract' import utm.ply --origin 7.57,47.56,0
 is 'info of them' 0 'unusable +1' "$bin" info far.ply
 is 'axes that nobody says, .ply to .glb' 0 'axes' "$bin" convert plain.ply as_is.glb --overwrite
 is 'axes that are said, .ply to .spz' 0 'gaussians=100' "$bin" convert plain.ply up.spz --axes enu --overwrite

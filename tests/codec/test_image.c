@@ -322,13 +322,14 @@ static void be_entry(struct buf *b, unsigned tag, unsigned type, uint32_t count,
 
 /* Big-endian, decimal degrees in the first rational, 0/0 minutes and seconds, as some cameras
  * write. */
-static void test_exif_big_endian_decimal_degrees(void **state)
+/* The GPS directory's place is of this type: LONG as by EXIF, or IFD as by libtiff. */
+static void big_endian_exif(unsigned type, struct buf *out)
 {
     struct buf b = {0};
     buf_add(&b, "MM\0*", 4);
     be32(&b, 8);
     be16(&b, 1);
-    be_entry(&b, 0x8825, 4, 1, 26);
+    be_entry(&b, 0x8825, type, 1, 26);
     be32(&b, 0);
     be16(&b, 4);                       /* GPS IFD at 26; values follow at 26 + 2 + 48 + 4 = 80 */
     be_entry(&b, 1, 2, 2, 0x53000000); /* "S" */
@@ -343,11 +344,27 @@ static void test_exif_big_endian_decimal_degrees(void **state)
             be32(&b, 0);
     }
     assert_int_equal(b.size, 112);
+    *out = b;
+}
+
+static void expect_south_west(const struct buf *b)
+{
     struct image_gps got;
-    exif_parse(b.data, b.size, &got, NULL);
+    exif_parse(b->data, b->size, &got, NULL);
     assert_true(got.has_position);
     assert_true(fabs(got.lat_deg + 33.8567891) < 1e-12);
     assert_true(fabs(got.lon_deg + 140.1234567) < 1e-12);
+}
+
+static void test_exif_big_endian_decimal_degrees(void **state)
+{
+    struct buf b = {0};
+    struct image_gps got;
+    big_endian_exif(13, &b);
+    expect_south_west(&b);
+    buf_free(&b);
+    big_endian_exif(4, &b);
+    expect_south_west(&b);
     for (size_t n = 0; n < b.size;
          n++) { /* every prefix, in its own allocation for the sanitizer */
         uint8_t *part = mem_array(n, 1);
@@ -358,6 +375,46 @@ static void test_exif_big_endian_decimal_degrees(void **state)
         mem_free(part);
     }
     buf_free(&b);
+}
+
+/* EXIF as text, plain and compressed, as Exiv2 (darktable, digiKam, GIMP) and ImageMagick write it.
+ */
+static void test_png_raw_profiles(void **state)
+{
+    static const char *const keys[] = {"Raw profile type exif", "Raw profile type APP1"};
+    struct buf exif = {0}, text = {0};
+    (void)state;
+    big_endian_exif(4, &exif);
+    buf_printf(&text, "\nexif\n%8zu", exif.size + 6);
+    for (size_t i = 0; i < exif.size + 6; i++)
+        buf_printf(&text, "%s%02x", i % 36 ? "" : "\n",
+                   i < 6 ? (uint8_t) "Exif\0\0"[i] : exif.data[i - 6]);
+    buf_printf(&text, "\n");
+    for (int k = 0; k < 4; k++) {
+        struct buf png = {0}, chunk = {0};
+        uint8_t z[1024];
+        uLongf nz = sizeof z;
+        buf_add(&png, "\x89PNG\r\n\x1a\n", 8);
+        png_chunk(&png, "IHDR", (const uint8_t *)"\0\0\0\1\0\0\0\1\x8\2\0\0\0", 13);
+        assert_int_equal(compress(z, &nz, text.data, text.size), Z_OK);
+        buf_add(&chunk, keys[k % 2], strlen(keys[0]) + 1);
+        if (k < 2)
+            buf_u8(&chunk, 0);
+        buf_add(&chunk, k < 2 ? z : text.data, k < 2 ? nz : text.size);
+        png_chunk(&png, k < 2 ? "zTXt" : "tEXt", chunk.data, chunk.size);
+        expect_south_west(&png);
+        for (size_t n = 0; n < png.size; n++) { /* every prefix, for the sanitizer */
+            struct image_gps got;
+            uint8_t *part = mem_array(n + 1, 1);
+            memcpy(part, png.data, n);
+            exif_parse(part, n, &got, NULL);
+            mem_free(part);
+        }
+        buf_free(&png);
+        buf_free(&chunk);
+    }
+    buf_free(&exif);
+    buf_free(&text);
 }
 
 #define GPS(...)                                                                                   \
@@ -655,6 +712,7 @@ int main(void)
         cmocka_unit_test(test_one_exif),
         cmocka_unit_test(test_no_exif),
         cmocka_unit_test(test_exif_big_endian_decimal_degrees),
+        cmocka_unit_test(test_png_raw_profiles),
         cmocka_unit_test(test_exif_odd_numbers),
         cmocka_unit_test(test_exif_datum),
         cmocka_unit_test(test_exif_survives_flips),

@@ -221,13 +221,15 @@ static void test_torture(void **state)
     gauss_free(&g);
 }
 
-/* The archive of a small file with `from` in its meta.json turned into `to`. */
-static enum err_code decode_edited(const char *from, const char *to, struct err *e)
+/* The archive of a small file with `from` in its meta.json turned into `to`, in a folder of it. */
+static enum err_code decode_edited(const char *folder, const char *from, const char *to,
+                                   struct err *e)
 {
     static const char *const names[] = {"meta.json",          "means_l.webp",   "means_u.webp",
                                         "quats.webp",         "scales.webp",    "sh0.webp",
                                         "shN_centroids.webp", "shN_labels.webp"};
     struct archive_part part[8] = {{0}};
+    char path[8][40];
     struct archive_reader *z;
     struct gauss g;
     struct buf b = {0}, edited = {0};
@@ -236,7 +238,8 @@ static enum err_code decode_edited(const char *from, const char *to, struct err 
     gauss_free(&g);
     kit_ok(archive_open(b.data, b.size, &z, e), *e);
     for (size_t i = 0; i < 8; i++) {
-        part[i].name = names[i];
+        snprintf(path[i], sizeof path[i], "%s%s", folder, names[i]);
+        part[i].name = path[i];
         kit_ok(archive_get(z, names[i], 1 << 20, &part[i].bytes, e), *e);
     }
     archive_close(&z);
@@ -275,10 +278,12 @@ static void test_lies_in_meta(void **state)
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct err e = {0};
-        enum err_code rc = decode_edited(cases[i].from, cases[i].to, &e);
+        enum err_code rc = decode_edited("", cases[i].from, cases[i].to, &e);
         if (rc != cases[i].want || !strstr(e.msg, cases[i].says))
             fail_msg("%s: %d, %s", cases[i].to, rc, e.msg);
     }
+    struct err e = {0}; /* as of who zips the folder, not what is in it */
+    kit_ok(decode_edited("scene/", "\"count\":40", "\"count\":40", &e), e);
 }
 
 /* ---- version 1 ---- */

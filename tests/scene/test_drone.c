@@ -459,6 +459,11 @@ static void packets_have_many_forms(void **state)
         "\xef\xbb\xbf" RDF "<rdf:Description xmlns='http://www.dji.com/drone-dji/1.0/'>"
         "<RelativeAltitude>12.5</RelativeAltitude><GpsLatitude>47.5</GpsLatitude>"
         "<GpsLongitude>7.25</GpsLongitude></rdf:Description></rdf:RDF>\n\n  ",
+        RDF "<rdf:Description " DJI " d:RelativeAltitude='12.5' d:Latitude='47.5' "
+            "d:Longitude='7.25'/></rdf:RDF>",
+        RDF "<rdf:Description xmlns:s='https://www.skydio.com/drone-skydio/1.0/' "
+            "s:RelativeAltitude='12.5'><s:Latitude>47.5</s:Latitude><s:Longitude>7.25</s:Longitude>"
+            "</rdf:Description></rdf:RDF>",
         /* not declared; EXIF's own position; rubbish behind the packet */
         RDF "<rdf:Description drone-dji:RelativeAltitude='12.5' "
             "xmlns:e='http://ns.adobe.com/exif/1.0/' e:GPSLatitude='47,30.0N' "
@@ -509,6 +514,38 @@ static void packets_have_many_forms(void **state)
             " d:RelativeAltitude='&h;'/></rdf:RDF>");
     kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
     assert_false(m.has_relative);
+}
+
+/* Skydio's angles are members of structures, of which several have members of one name. */
+static void structures_have_members(void **state)
+{
+#define SKYDIO RDF "<rdf:Description xmlns:s='https://www.skydio.com/drone-skydio/1.0/'"
+    static const char *const forms[] = {
+        SKYDIO "><s:VehicleOrientationNED s:Roll='1' s:Pitch='2' s:Yaw='3'/>"
+               "<s:CameraOrientationNED s:Roll='10' s:Pitch='-30' s:Yaw='70'/></rdf:Description>"
+               "</rdf:RDF>",
+        SKYDIO "><s:VehicleOrientationNED rdf:parseType='Resource'><s:Roll>1</s:Roll><s:Pitch>2"
+               "</s:Pitch></s:VehicleOrientationNED><s:CameraOrientationNED "
+               "rdf:parseType='Resource'><s:Roll>10</s:Roll><s:Pitch>-30</s:Pitch>"
+               "</s:CameraOrientationNED></rdf:Description></rdf:RDF>",
+        SKYDIO "><s:CameraOrientationNED><rdf:Description s:Roll='10'><s:Pitch>-30</s:Pitch>"
+               "</rdf:Description></s:CameraOrientationNED></rdf:Description></rdf:RDF>"};
+    struct err e = {0};
+    struct image_gps gps;
+    struct drone_meta m;
+    char from[FILE_PATH_MAX], to[FILE_PATH_MAX];
+    (void)state;
+    first_photo(from);
+    kit_ok(file_join(to, kit_tmp, "members.jpg", &e), e);
+    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++) {
+        put_xmp(from, to, forms[i]);
+        kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
+        const double want[3] = {-sin(10 / DEG) * cos(30 / DEG), -cos(10 / DEG) * cos(30 / DEG),
+                                -0.5};
+        assert_true(m.has_up);
+        for (size_t k = 0; k < 3; k++)
+            assert_true(fabs(m.up_cam[k] - want[k]) < 1e-12);
+    }
 }
 
 static void gimbals_tell_the_tilt(void **state)
@@ -578,6 +615,7 @@ int main(void)
         cmocka_unit_test(gimbals_tell_the_tilt),
         cmocka_unit_test(altitudes_are_believed_by_a_table),
         cmocka_unit_test(packets_have_many_forms),
+        cmocka_unit_test(structures_have_members),
     };
     return cmocka_run_group_tests_name("drone", tests, setup, teardown);
 }

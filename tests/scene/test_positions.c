@@ -322,6 +322,24 @@ static void tables_of_other_programs_are_read(void **state)
         {"image,lon,lat,height,accuracy_xy,accuracy_z\nA.jpg,7.5,47.5,300,nan,\n", 4326, 7.5, 47.5,
          300, 0},
         {"EPSG:4979\nA.jpg 7.5 47.5 300\n", 4326, 7.5, 47.5, 300, 0},
+        /* ExifTool's columns of directions, by -n and in words; degrees, minutes, seconds */
+        {"SourceFile,GPSLatitude,GPSLatitudeRef,GPSLongitude,GPSLongitudeRef,GPSAltitude,"
+         "GPSAltitudeRef\nA.jpg,47.5,S,7.5,W,300,1\n",
+         4326, -7.5, -47.5, -300, 0},
+        {"SourceFile,GPSLatitudeRef,GPSLatitude,GPSLongitudeRef,GPSLongitude,GPSAltitudeRef,"
+         "GPSAltitude\nA.jpg,South,-47.5,East,7.5,Above Sea Level,300\n",
+         4326, 7.5, -47.5, 300, 0},
+        {"SourceFile,GPSLatitude,GPSLongitude,GPSAltitude\nA.jpg,\"47 deg 30' 0.00\"\" N\","
+         "\"7 deg 30' 0.00\"\" W\",300 m Above Sea Level\n",
+         4326, -7.5, 47.5, 300, 0},
+        {"Photo name;Lon;Lat;Height\nA.jpg;7\u00b030\u20320.0\u2033E;47:30:00 s;3 m below sea "
+         "level\n",
+         4326, 7.5, -47.5, -3, 0},
+        {"image,lon,lat,height\nA.jpg,7.5E,-47 30,300 m\n", 4326, 7.5, -47.5, 300, 0},
+        /* WingtraHub: a blank behind the # */
+        {"# image name,latitude [decimal degrees],longitude [decimal degrees],altitude [meter],"
+         "yaw [degrees]\nA.jpg,47.5,7.5,300,0\n",
+         4326, 7.5, 47.5, 300, 0},
     };
     static const struct {
         const char *text, *heights;
@@ -330,6 +348,10 @@ static void tables_of_other_programs_are_read(void **state)
         {"image,lon,lat,altitude,ellipsoidal_height\nA.jpg,7.5,47.5,300,350\n", "unknown", 0},
         {"image,lon,lat,ellipsoidal_height,altitude\nA.jpg,7.5,47.5,300,350\n", "ellipsoid", 0},
         {"EPSG:4979\nA.jpg 7.5 47.5 300\n", "ellipsoid", 0},
+        {"Filename,Longitude (deg),Latitude (deg),Height above ellipsoid (m),Std East (m),"
+         "Std North (m),Std Up (m)\nA.jpg,7.5,47.5,300,3,3,3\n",
+         "ellipsoid", 3},
+        {"Photo,Latitude,Longitude,Ell Height (m)\nA.jpg,47.5,7.5,300\n", "ellipsoid", 0},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,1e30\n", "unknown", 1e4},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,inf\n", "unknown", 1e4},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,-\n", "unknown", 0}};
@@ -338,8 +360,11 @@ static void tables_of_other_programs_are_read(void **state)
     } wrong[] = {
         {"EPSG:4326\nA.jpg 7.5 47.5\n", "line 2: z (or height) is missing"},
         {"image,lon,lat,height\nA.jpg,7.5,,300\n", "line 2: y (or lat) is missing"},
-        {"image,lon,lat,height\nA.jpg,7.5E,47.5N,300\n", "decimal degrees that are negative"},
-        {"image,lon,lat,height\nA.jpg,7.5,47.5,300 m\n", "'300 m', is no number: write metres"},
+        {"image,lon,lat,height\nA.jpg,7.5N,47.5E,300\n", "decimal degrees that are negative"},
+        {"image,lon,lat,height\nA.jpg,7.5.3,47.5,300\n", "'7.5.3', is no number"},
+        {"image,lon,lat,height\nA.jpg,7.5,47 61 0,300\n", "'47 61 0', is no number"},
+        {"image,lon,lat,height\nA.jpg,7.5,47.5,300 ft\n", "'300 ft', is no number: write metres"},
+        {"EPSG:25832\nA.jpg 7.5E 47.5 300\n", "'7.5E', is no number"},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,good\n", "'good', is no number"}};
     static const struct {
         const char *text;

@@ -60,6 +60,70 @@ static void a_pixel_is_ignored_when_any_below_it_is(void **state)
     kit_rmdir(dir);
 }
 
+/* Masks of 0 and 1, and of numbers of kinds: what is not 0 is used. Black leaves nothing. */
+static void dark_masks_have_numbers(void **state)
+{
+    enum { W = 8, H = 4 };
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], from[FILE_PATH_MAX], to[FILE_PATH_MAX];
+    struct image img = {0}, out = {0};
+    struct ingest_view v;
+    enum ingest_mask made;
+    const struct lens lens = {
+        .model = LENS_SIMPLE_PINHOLE, .width_px = W, .height_px = H, .params = {10, 4, 2}};
+    kit_tmpdir(dir);
+    kit_ok(file_join(from, dir, "in.png", &e), e);
+    kit_ok(file_join(to, dir, "out.png", &e), e);
+    kit_ok(ingest_view_make(&lens, W, H, W, &v, &e), e);
+    for (uint8_t most = 0; most < 128; most = (uint8_t)(2 * most + 1)) {
+        kit_ok(image_alloc(W, H, 1, &img, &e), e);
+        for (size_t i = 0; i < W * H; i++)
+            img.px[i] = i % 2 ? most : 0;
+        kit_ok(image_write(from, &img, 0, NULL, &e), e);
+        image_free(&img);
+        kit_ok(ingest_mask_convert(&v, from, false, to, &made, &e), e);
+        assert_int_equal(made, most ? INGEST_MASK_MADE : INGEST_MASK_WHOLE);
+        kit_ok(mask_read(to, W, H, &out, &e), e);
+        for (size_t i = 0; i < W * H; i++)
+            assert_int_equal(out.px[i], i % 2 && most ? 255 : 0);
+        image_free(&out);
+    }
+    kit_rmdir(dir);
+}
+
+/* A photograph whose background was made transparent: its colours are no mask. */
+static void cutouts_are_masks_by_their_alpha(void **state)
+{
+    enum { W = 8, H = 4 };
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], from[FILE_PATH_MAX], to[FILE_PATH_MAX];
+    struct image img = {0}, out = {0};
+    struct ingest_view v;
+    enum ingest_mask made;
+    const struct lens lens = {
+        .model = LENS_SIMPLE_PINHOLE, .width_px = W, .height_px = H, .params = {10, 4, 2}};
+    kit_tmpdir(dir);
+    kit_ok(file_join(from, dir, "in.png", &e), e);
+    kit_ok(file_join(to, dir, "out.png", &e), e);
+    kit_ok(ingest_view_make(&lens, W, H, W, &v, &e), e);
+    for (int opaque = 0; opaque < 2; opaque++) { /* where nothing is, colours count */
+        kit_ok(image_alloc(W, H, 4, &img, &e), e);
+        for (size_t i = 0; i < W * H; i++) {
+            memset(img.px + 4 * i, i % 3 ? 200 : 20, 3);
+            img.px[4 * i + 3] = opaque || i % 2 ? 255 : 0;
+        }
+        kit_ok(image_write(from, &img, 0, NULL, &e), e);
+        image_free(&img);
+        kit_ok(ingest_mask_convert(&v, from, false, to, &made, &e), e);
+        assert_int_equal(made, INGEST_MASK_MADE);
+        kit_ok(mask_read(to, W, H, &out, &e), e);
+        for (size_t i = 0; i < W * H; i++)
+            assert_int_equal(out.px[i], i % (opaque ? 3 : 2) ? 255 : 0);
+        image_free(&out);
+    }
+    kit_rmdir(dir);
+}
+
 static void undistortion_moves_masks_as_it_moves_pictures(void **state)
 {
     enum { W = 120, H = 80 };
@@ -164,6 +228,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_pixel_is_ignored_when_any_below_it_is),
+        cmocka_unit_test(dark_masks_have_numbers),
+        cmocka_unit_test(cutouts_are_masks_by_their_alpha),
         cmocka_unit_test(undistortion_moves_masks_as_it_moves_pictures),
         cmocka_unit_test(points_on_masked_pixels_are_left_out),
         cmocka_unit_test(without_masks_all_points_are_used),
