@@ -1,5 +1,5 @@
-/* The tile store: writing and reading, hashes, no half-written files, the index in memory. Damaged and
- * hostile files: test_store_damage.c.
+/* The tile store: writing and reading, hashes, no half-written files, the index in memory. Damaged
+ * and hostile files: test_store_damage.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* Files of stores that are damaged, cut off, no stores, or made to do harm: what is wrong with a tile
- * costs that tile.
+/* Files of stores that are damaged, cut off, no stores, or made to do harm: what is wrong with a
+ * tile costs that tile.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* The forward kernels against the double-precision reference, in both shapes; the layout of what they
- * read, and what they refuse. Properties of any scene: test_render_properties.c.
+/* The forward kernels against the double-precision reference, in both shapes; the layout of what
+ * they read, and what they refuse. Properties of any scene: test_render_properties.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

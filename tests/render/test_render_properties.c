@@ -1,5 +1,5 @@
-/* Properties of pictures of any scene: tiles change nothing, two runs give the same bits, distance from
- * the origin does not matter, backgrounds add up, buffers grow.
+/* Properties of pictures of any scene: tiles change nothing, two runs give the same bits, distance
+ * from the origin does not matter, backgrounds add up, buffers grow.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

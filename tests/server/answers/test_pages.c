@@ -1,5 +1,5 @@
-/* What browsers get, as pure calls: the viewer's files and their coded forms, pages, what a page hints
- * at, and the card that others show of it.
+/* What browsers get, as pure calls: the viewer's files and their coded forms, pages, what a page
+ * hints at, and the card that others show of it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

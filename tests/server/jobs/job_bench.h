@@ -1,4 +1,5 @@
-/* Jobs whose workers wait at a gate, so that the test decides the order of events, not the scheduler.
+/* Jobs whose workers wait at a gate, so that the test decides the order of events, not the
+ * scheduler.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

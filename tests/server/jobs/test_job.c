@@ -1,5 +1,5 @@
-/* Jobs: one run for identical requests, and every waiter is woken exactly once in all cases: errors,
- * leaving, deadlines, the end. Which job runs next: test_job_order.c.
+/* Jobs: one run for identical requests, and every waiter is woken exactly once in all cases:
+ * errors, leaving, deadlines, the end. Which job runs next: test_job_order.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

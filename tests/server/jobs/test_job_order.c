@@ -1,4 +1,5 @@
-/* Which job runs next, and where: bounded queues, classes, clients that take turns, threads that draw.
+/* Which job runs next, and where: bounded queues, classes, clients that take turns, threads that
+ * draw.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
