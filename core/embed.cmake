@@ -1,5 +1,5 @@
 # Turns OpenCL sources, and other texts, into C strings: embed_cl(target render/project.cl ...) gives `const char project_cl[]`.
-# Included by CMakeLists.txt; run by itself in script mode it is the generator.
+# Included by the top CMakeLists.txt; run by itself in script mode it is the generator.
 set(EMBED_SCRIPT ${CMAKE_CURRENT_LIST_FILE})
 function(embed_cl target)
   foreach(src ${ARGN})

@@ -12,7 +12,7 @@ module=${1:?folder}
 build=build/coverage
 if [ "${2:-}" != --again ]; then
     cmake --preset coverage >/dev/null || exit 1
-    tests=$(sed -n "s/^ *unit([a-z\/]*\/\\([a-z0-9_]*\\)\\( [a-z_]*\\)* $module\\( .*\\)*)\$/\\1/p" CMakeLists.txt)
+    tests=$(sed -n "s/^ *unit([a-z\/]*\/\\([a-z0-9_]*\\)\\( [a-z_]*\\)* $module\\( .*\\)*)\$/\\1/p" tests/CMakeLists.txt)
     targets=citysplat # some start the program
     for t in $tests; do targets="$targets test_$t"; done
     # shellcheck disable=SC2086
@@ -22,7 +22,7 @@ if [ "${2:-}" != --again ]; then
 fi
 # What no test ran has no .gcda, and counts as it is.
 for source in $(find "$module" -name '*.c'); do
-    note=$build/CMakeFiles/$module.dir/$source.gcno
+    note=$build/$module/CMakeFiles/$module.dir/${source#"$module"/}.gcno
     [ -e "$note" ] || continue
     gcov -n -b -o "$(dirname "$note")" "$note" 2>/dev/null | awk -v want="$source" '
         /^File / { here = index($0, "/" want "\047") || $0 == "File \047" want "\047" }

@@ -245,6 +245,32 @@ void xmp_add(struct xmp *x, const void *packet, size_t n)
         xmp_salvage_any(&r, text, n);
 }
 
+static char xmp_in_case(char c, int form)
+{
+    const bool lower = c >= 'a' && c <= 'z', upper = c >= 'A' && c <= 'Z';
+    return (char)((form == 1 && upper) || (form == 2 && lower) ? c ^ 0x20 : c);
+}
+
+void xmp_add_sidecars(struct xmp *x, const char *path)
+{
+    static const char *const ends[] = {".xmp", ".XMP", ".Xmp"};
+    const char *slash = strrchr(path, '/'), *dot = strrchr(slash ? slash : path, '.');
+    const size_t base = slash ? (size_t)(slash + 1 - path) : 0;
+    for (int k = 0; k < 18; k++) {
+        const int stem = k % 2 && dot ? (int)(dot - path) : (int)strlen(path), form = k / 6;
+        char name[FILE_PATH_MAX];
+        struct buf b = {0};
+        if (snprintf(name, sizeof name, "%.*s%s", stem, path, ends[k / 2 % 3]) >= (int)sizeof name)
+            continue;
+        for (size_t i = base; i < (size_t)stem; i++)
+            name[i] = xmp_in_case(name[i], form);
+        if ((!form || memcmp(name + base, path + base, (size_t)stem - base) != 0) &&
+            file_exists(name) && !file_read(name, XMP_BYTES_MAX, &b, NULL))
+            xmp_add(x, b.data, b.size);
+        buf_free(&b);
+    }
+}
+
 bool xmp_get(const void *xmp, const char *name, char *text, size_t room)
 {
     const struct xmp *x = xmp;

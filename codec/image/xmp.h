@@ -25,6 +25,9 @@ struct xmp { /* {0} is empty */
  * "drone-skydio:CameraOrientationNED/Pitch". Longer texts than XMP_TEXT and document types
  * are left out. Of a packet that is no XML, the values that stand in it are read. Any thread. */
 void xmp_add(struct xmp *x, const void *packet, size_t n);
+/* Adds photo.xmp and photo.JPG.xmp beside photo.JPG, `path`: the name as it is, in small letters or
+ * in capitals. */
+void xmp_add_sidecars(struct xmp *x, const char *path);
 /* Writes the text of a property without blanks around it; `xmp` is a struct xmp. Returns false if
  * there is none, or no room. */
 bool xmp_get(const void *xmp, const char *name, char *text, size_t room);

@@ -25,6 +25,7 @@ static int render_kit_open(void **state)
 static int render_kit_close(void **state)
 {
     render_close(&render);
+    render_close(&render); /* idempotent */
     dev_close(&dev);
     return 0;
 }

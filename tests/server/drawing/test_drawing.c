@@ -1,8 +1,8 @@
 /* A driver that crashes, aborts or hangs in the process that draws, while tiles are requested. A
  * real server draws real pictures on any OpenCL device. One launch of a kernel is replaced by one
  * that reads invalid memory or never ends. The linker puts the function below in place of
- * clEnqueueNDRangeKernel (CMakeLists.txt). The process that draws is this program too, and a file
- * tells it what to do.
+ * clEnqueueNDRangeKernel (tests/CMakeLists.txt). The process that draws is this program too, and a
+ * file tells it what to do.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

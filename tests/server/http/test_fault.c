@@ -1,6 +1,6 @@
 /* Faults in the server: the k-th allocation, thread, opened file, read, socket and epoll set fails,
  * one after another; SQLite's reads fail; stderr cannot be written. The linker puts __wrap_NAME in
- * place of NAME in our code (CMakeLists.txt); libraries keep their functions.
+ * place of NAME in our code (tests/CMakeLists.txt); libraries keep their functions.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
