@@ -23,8 +23,9 @@ struct archive_reader;
 /* Opens an archive. `bytes` are borrowed until archive_close. ERR_FORMAT, ERR_MEM. */
 enum err_code archive_open(const void *bytes, size_t n, struct archive_reader **out,
                            struct err *e) ERR_USE;
-/* Reads the content of one entry, or of the first of this name in any folder. Free it with buf_free. ERR_FORMAT (it is absent or damaged),
- * ERR_LIMIT (it has more than `most` bytes), ERR_MEM. */
+/* Reads the content of one entry, or of the first of this name in any folder. Free it with
+ * buf_free. ERR_FORMAT (it is absent or damaged), ERR_LIMIT (it has more than `most` bytes),
+ * ERR_MEM. */
 enum err_code archive_get(struct archive_reader *z, const char *name, size_t most, struct buf *out,
                           struct err *e) ERR_USE;
 void archive_close(struct archive_reader **z);

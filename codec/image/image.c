@@ -7,6 +7,7 @@
  */
 #include "codec/image/image.h"
 
+#include <math.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
@@ -243,6 +244,9 @@ enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *he
         gps->has_position = true;
         gps->lat_deg = drone->lat_deg;
         gps->lon_deg = drone->lon_deg;
+    } else if (!rc && gps->no_letter && drone->has_position) { /* XMP has signs */
+        gps->lat_deg = copysign(gps->lat_deg, drone->lat_deg);
+        gps->lon_deg = copysign(gps->lon_deg, drone->lon_deg);
     }
     return rc;
 }

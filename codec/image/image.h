@@ -37,8 +37,9 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
  * Free it with image_free. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code image_read_alpha(const char *path, const struct codec_limits *lim, struct image *out,
                                struct err *e) ERR_USE;
-/* Reads size, EXIF and the drone's XMP without decoding pixels. Any output may be NULL. ERR_NOENT,
- * ERR_FORMAT, ERR_LIMIT, ERR_IO, ERR_MEM. */
+/* Reads size, EXIF and the drone's XMP without decoding pixels. Where EXIF has no position, XMP's
+ * is taken, and where EXIF does not say the hemisphere, XMP's signs. Any output may be NULL.
+ * ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_IO, ERR_MEM. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                               struct image_gps *gps, struct drone_meta *drone,
                               struct err *e) ERR_USE;

@@ -40,8 +40,8 @@ static enum err_code mask_take(const char *path, struct image *from, uint8_t use
     return rc;
 }
 
-/* The least value that means use. Where nothing is bright, values are numbers, as of a mask of 0 and
- * 1: all but 0 mean use, as for COLMAP. */
+/* The least value that means use. Where nothing is bright, values are numbers, as of a mask of 0
+ * and 1: all but 0 mean use, as for COLMAP. */
 static uint8_t mask_use_from(const struct image *img)
 {
     for (size_t i = 0; i < (size_t)img->width_px * img->height_px; i++)

@@ -1,8 +1,9 @@
 /* Masks: pixels of a photograph to ignore (moving things, the sky, the drone itself).
  *
  * They follow COLMAP's convention: one 8-bit picture a photograph, named <photograph's name>.png. A
- * value below 128 means ignore; where none is above, 0 does (so in COLMAP). Ingest removes lens distortion from masks and stores
- * them as scene/masks/<name>.png. A photograph without a mask is used whole.
+ * value below 128 means ignore; where none is above, 0 does (so in COLMAP). Ingest removes lens
+ * distortion from masks and stores them as scene/masks/<name>.png. A photograph without a mask is
+ * used whole.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -292,7 +292,8 @@ static bool positions_sigma(const char *field, double *out)
 /* Degrees as ExifTool and surveyors write them: 47 deg 33' 28.79" N, 47°33.48'S, 7:34:23.2 W. */
 static bool positions_angle(const char *text, const char letters[3], double *out)
 {
-    static const char between[] = " :'\"deg\xc2\xb0\xba\xe2\x80\xb2\xb3\x99\x9d"; /* ° º ′ ″ ’ ” */
+    /* blanks, colons, quotation marks, "deg", and the bytes of typographic marks in UTF-8 */
+    static const char between[] = " :'\"deg\xc2\xb0\xba\xe2\x80\xb2\xb3\x99\x9d";
     double part[3] = {0};
     const char *p = text;
     for (size_t n = 0, apart = 1; n < 3 && apart; n++) {

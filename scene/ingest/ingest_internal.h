@@ -188,8 +188,8 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 /* ---- ingest_mask.c ---- */
 
 /* Converts the mask of a photograph, or the photograph's own alpha, for its pinhole picture, as
- * PNG. *made: whether there was one, and whether it leaves nothing; an alpha of 0 everywhere is none. ERR_NOENT, ERR_FORMAT,
- * ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
+ * PNG. *made: whether there was one, and whether it leaves nothing; an alpha of 0 everywhere is
+ * none. ERR_NOENT, ERR_FORMAT, ERR_LIMIT: the mask cannot be read. ERR_IO, ERR_MEM. */
 enum ingest_mask { INGEST_MASK_NONE, INGEST_MASK_BLANK, INGEST_MASK_MADE, INGEST_MASK_WHOLE };
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, bool alpha,
                                   const char *to, enum ingest_mask *made, struct err *e) ERR_USE;

@@ -516,6 +516,36 @@ static void packets_have_many_forms(void **state)
     assert_false(m.has_relative);
 }
 
+/* EXIF that does not say the hemisphere, and XMP that does. */
+static void xmp_tells_the_hemisphere(void **state)
+{
+    static const uint8_t letter[] = {1, 0, 2, 0, 2, 0, 0, 0, 'N'}; /* GPSLatitudeRef */
+    struct err e = {0};
+    struct buf b = {0};
+    struct image_gps north, south;
+    struct drone_meta m;
+    char from[FILE_PATH_MAX], to[FILE_PATH_MAX];
+    size_t n = 0;
+    (void)state;
+    first_photo(from);
+    kit_ok(file_join(to, kit_tmp, "south.jpg", &e), e);
+    kit_ok(image_read_info(from, NULL, NULL, &north, &m, &e), e);
+    put_xmp(from, to,
+            RDF "<rdf:Description " DJI " d:GpsLatitude='-47.5' d:GpsLongitude='7.5'/></rdf:RDF>");
+    kit_ok(file_read(to, 0, &b, &e), e);
+    for (size_t i = 0; i + sizeof letter < b.size; i++)
+        if (!memcmp(b.data + i, letter, sizeof letter)) {
+            b.data[i + sizeof letter - 1] = 0;
+            n++;
+        }
+    assert_int_equal(n, 1);
+    kit_ok(file_write(to, b.data, b.size, &e), e);
+    buf_free(&b);
+    kit_ok(image_read_info(to, NULL, NULL, &south, &m, &e), e);
+    assert_true(south.has_position && south.no_letter);
+    assert_true(south.lat_deg == -north.lat_deg && south.lon_deg == north.lon_deg);
+}
+
 /* Skydio's angles are members of structures, of which several have members of one name. */
 static void structures_have_members(void **state)
 {
@@ -616,6 +646,7 @@ int main(void)
         cmocka_unit_test(altitudes_are_believed_by_a_table),
         cmocka_unit_test(packets_have_many_forms),
         cmocka_unit_test(structures_have_members),
+        cmocka_unit_test(xmp_tells_the_hemisphere),
     };
     return cmocka_run_group_tests_name("drone", tests, setup, teardown);
 }
