@@ -62,10 +62,15 @@ export class Scenes {
     return this.describing > 0;
   }
 
+  // Where it asks first, and where then.
+  get urls(): URL[] {
+    const { url = "./" } = this.options;
+    return [url].flat().map((one) => new URL(one, location.href));
+  }
+
   async start() {
-    const { link, options } = this;
-    const { url, scene: id } = options;
-    const urls = (Array.isArray(url) ? url : [url ?? "./"]).map((one) => new URL(one, location.href));
+    const { link, options, urls } = this;
+    const { scene: id } = options;
     try {
       link.watch(urls.length === 1 && /\.json$/.test(urls[0]!.pathname) ? urls[0]! : new URL("collections", urls[0]));
       this.all = urls.length > 1 ? await findFirst(link, urls) : await findScenes(link, urls[0]!);

@@ -4,8 +4,10 @@
 // SPDX-License-Identifier: Apache-2.0
 import { MathUtils, Matrix4, type PerspectiveCamera } from "three";
 
+import type { City } from "./city";
 import { describe } from "./link";
 import { Problem } from "./problem";
+import type { SceneEntry } from "./source";
 import { text } from "./strings";
 
 export const SIDE_MAX = 16_384;
@@ -102,8 +104,7 @@ function encode(canvas: HTMLCanvasElement, format: ShotFormat): Promise<Blob> {
 }
 
 // render: where the server takes cameras.
-/** @internal */
-export async function drawByServer(
+async function drawByServer(
   render: URL,
   camera: PerspectiveCamera,
   appearance: string,
@@ -134,7 +135,29 @@ export async function drawByServer(
   return encode(canvas, format);
 }
 
-// A canvas that was just drawn to, in any format.
-export async function encodeCanvas(canvas: HTMLCanvasElement, format: ShotFormat): Promise<Blob> {
-  return encode(canvas, format);
+// What a picture is taken of, and who can draw it.
+/** @internal */
+export interface ShotView {
+  scene: SceneEntry | null;
+  camera: PerspectiveCamera;
+  city: City | null;
+  canvas: HTMLCanvasElement; // on which it draws
+  appearance: string;
+}
+
+// By the server, in parts where it draws smaller ones only, or by this browser. Rejects with why not.
+/** @internal */
+export async function takeShot(view: ShotView, options: ShotOptions): Promise<Blob> {
+  const { width, height, format = "jpg" } = options;
+  checkSize(width, height);
+  const { scene, camera, city } = view;
+  const background = options.background ?? (city?.backdrop.visible ? "sky" : "black");
+  const by = options.by ?? (scene?.questions ? "server" : "browser");
+  if (by === "server") {
+    if (!scene?.questions) throw new Problem("noPictures");
+    camera.updateMatrixWorld();
+    return drawByServer(new URL("render", scene.questions), camera, view.appearance, { ...options, background });
+  }
+  if (!city) throw new Problem("noPictures");
+  return city.drawOnce(width, height, background === "sky", () => encode(view.canvas, format));
 }

@@ -1,26 +1,25 @@
 // The viewer that others put into their pages: a container, a URL, a camera, events. The page of
-// this folder is one of its users. It is one long file, because it is one class: what pages may call, and the loop
-// that serves it.
+// this folder is one of its users.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Box3, Ray, Vector3 } from "three";
+import type { Box3 } from "three";
 
 import type { Block } from "./block";
 import { City, NO_STATS, type CityStats } from "./city";
+import { Clicks } from "./clicks";
 import { decodeOnce } from "./core";
 import { Events, type Handler } from "./events";
 import type { Area } from "./free";
-import type { Extent } from "./extent";
+import { extentOf, type Extent } from "./extent";
 import { Frame, type Place, type Pose } from "./geo";
 import { Layers } from "./layers";
 import { Link, problemOf, type LinkState } from "./link";
+import { Opening } from "./opening";
 import { Overlay } from "./overlay";
 import { Pace } from "./pace";
-import { pickMedian } from "./pick";
 import { Pictures } from "./pictures";
 import type { Walk } from "./pose";
-import { cornersOfOutline, roughly } from "./homeview";
-import { poseOfPoster, Poster, posterUrl } from "./poster";
+import { Probe } from "./probe";
 import { Problem } from "./problem";
 import { Waits } from "./progress";
 import { Scenes, type Opened, type SceneHost } from "./scenes";
@@ -40,15 +39,15 @@ import {
 } from "./source";
 import { seesAny } from "./sight";
 import { Stage } from "./stage";
-import { text } from "./strings";
+import { Surface } from "./surface";
 import { TOUCH } from "./touch";
+import { Turns } from "./turns";
 import type { Mode, Progress, ViewerEvents, ViewerOptions, ViewerState } from "./types";
 
 // Of this module, as semantic versioning has it: what docs/viewer.md names is what it promises.
 export const version: string = __VERSION__;
 
 export type { Appearance, Basemap, CityStats, LinkState, MapTiles, Place, Pose, SceneEntry, Walk };
-
 export {
   LayerError,
   type Layer,
@@ -57,30 +56,15 @@ export {
   type LayerOptions,
   type ModelPlace,
 } from "./layers";
-
 export type { ShotFormat, ShotOptions } from "./shot";
-
 export type { Mode, Progress, ViewerEvents, ViewerOptions, ViewerState } from "./types";
-
 export { Problem, type ProblemKind } from "./problem";
 
 const MEMORY_MB = TOUCH ? 384 : 1536;
 const PIXEL_RATIO_MAX = TOUCH ? 1.5 : 2;
 const PX_PER_SIGMA = 16; // a tile's geometric error is at most 16 times its typical Gaussian
-const ABOVE_M = 200; // over most of the city: where one looks down from
-const FINE_M = 0.25; // how finely
 const LOOK_MS = 100; // between two looks at what is on its way, while nothing happens
 const PAD_MS = 50; // at a gamepad that is not touched
-
-function extentOf(info: SceneInfo, frame: Frame): Box3 {
-  const box = new Box3();
-  const toWorld = frame.worldFromEcef.clone().multiply(info.transform);
-  for (let i = 0; i < 8; i++) {
-    const corner = new Vector3(i & 1 ? 1 : -1, i & 2 ? 1 : -1, i & 4 ? 1 : -1).multiply(info.half);
-    box.expandByPoint(corner.add(info.center).applyMatrix4(toWorld));
-  }
-  return box;
-}
 
 // The viewer in a container of a page.
 export class Viewer {
@@ -93,7 +77,11 @@ export class Viewer {
   readonly overlay: Overlay;
   // Data of others in the city: GeoJSON, models, tiles.
   readonly layers: Layers;
-  private readonly pictureCanvas: HTMLCanvasElement;
+  private readonly nodes: Surface; // in the container
+  private readonly opening: Opening;
+  private readonly probe: Probe;
+  private readonly clicks = new Clicks();
+  private readonly turns = new Turns((now, seconds) => this.turn(now, seconds));
   private readonly link = new Link();
   private readonly pictures: Pictures;
   private readonly pace = new Pace();
@@ -104,28 +92,17 @@ export class Viewer {
   private currentMode: Mode = "splats";
   private shownAppearance = "";
   private error: Error | null = null;
-  private touched = false;
-  private homeless = true; // the scene's extent is not known yet
   private wasReady = false;
   private looked = false; // for the city in this view, since it came to rest
   private sight = true;
-  private poster: Poster | null = null;
-  private framed = ""; // the size of the surface whose first view is the poster's, which stays; "": it is not
-  private postered: boolean; // the next scene comes behind one
   private without3d = ""; // why this browser does not draw
-  private running = 0; // the next turn of the loop; 0: it rests
-  private timer = 0; // that ends the rest
-  private previous = 0; // when the last turn was; 0: before the rest
   private moving = false;
   private closed = false;
-  private click = { told: true }; // the last one, and whether what is there was told
   private readonly listening = new AbortController();
   private readonly resizing: ResizeObserver;
   private map: Basemap | null = null; // on the ground
-  private readonly credit = document.createElement("small"); // of the city, and of that map
   private theme: "dark" | "light";
   private memoryMost: number; // MB
-  private readonly positions: boolean; // the container, which had no position of its own
 
   constructor(
     // The element that it fills.
@@ -134,58 +111,42 @@ export class Viewer {
   ) {
     this.theme = options.theme ?? "light";
     this.memoryMost = options.memoryMb ?? MEMORY_MB;
-    const layer = (tag: string) => {
-      const node = document.createElement(tag);
-      Object.assign(node.style, { position: "absolute", inset: "0", width: "100%", height: "100%" });
-      return node;
-    };
-    this.surface = layer("div");
-    this.canvas = layer("canvas") as HTMLCanvasElement;
-    this.pictureCanvas = layer("canvas") as HTMLCanvasElement;
-    this.pictureCanvas.hidden = true;
-    this.pictureCanvas.className = "citysplat-picture";
-    Object.assign(this.surface.style, { overflow: "hidden", outline: "none" });
-    this.surface.tabIndex = 0;
-    this.surface.setAttribute("role", "application");
-    this.surface.setAttribute("aria-label", text("surface.label"));
-    this.credit.className = "citysplat-credit";
-    Object.assign(this.credit.style, { position: "absolute", right: "0", bottom: "0", padding: "0 6px", color: "#222", background: "rgb(255 255 255 / 75%)", font: "11px/1.6 system-ui, sans-serif", pointerEvents: "none" });
-    this.credit.hidden = true;
-    this.surface.append(this.canvas, this.pictureCanvas, this.credit);
-    this.setGround();
-    this.positions = getComputedStyle(container).position === "static";
-    if (this.positions) container.style.position = "relative";
-    container.append(this.surface);
-
-    this.postered = options.poster === undefined && options.backdrop !== false; // it has sky and ground
-    if (options.poster) this.hang(options.poster);
+    this.nodes = new Surface(container);
+    this.surface = this.nodes.node;
+    this.canvas = this.nodes.canvas;
+    this.nodes.setTheme(this.theme);
     this.book = this.makeBook();
     this.stage = new Stage(this.surface);
     this.stage.keyboard = options.keyboard ?? true;
     this.stage.onMove = () => this.wake();
+    this.opening = new Opening(this.surface, this.stage, options);
+    this.opening.onGone = () => this.wake(false);
     this.stage.onTouch = () => {
-      this.touched = true;
-      this.poster?.leave(true);
+      this.opening.touch();
       this.events.emit("touch", null);
     };
-    this.stage.surfaceOn = (ray) => this.surfaceOn(ray);
-    this.stage.onClick = (x, y) => void this.tellClick(x, y);
-    this.stage.onUnclick = () => this.takeBackClick();
+    this.probe = new Probe(this.surface, this.stage, () => this.city);
+    this.stage.surfaceOn = (ray) => this.probe.surfaceOn(ray);
+    this.stage.onClick = (x, y) => void this.clicks.tell(x, y, this.placeAt(x, y));
+    this.stage.onUnclick = () => this.clicks.takeBack();
+    this.clicks.onClick = (x, y, place) => this.events.emit("click", { x, y, place });
+    this.clicks.onUnclick = () => this.events.emit("unclick", null);
     this.stage.onWalk = (how) => this.events.emit("walk", how);
     this.overlay = new Overlay(this.surface, this.stage);
     this.overlay.onWake = () => this.wake();
     this.layers = new Layers(this.stage, this.overlay, (place) => this.heightOf(place));
+    this.probe.layers = this.layers;
     this.layers.onWake = () => this.wake();
     this.layers.onChange = () => {
       this.events.emit("layers", this.layers.list);
       this.wake();
     };
-    this.pictures = new Pictures(this.pictureCanvas, this.link, true);
+    this.pictures = new Pictures(this.nodes.pictures, this.link, true);
     this.pictures.onPicture = (info) => {
       this.wake(false);
       this.shownAppearance = this.book.appearance;
       this.error = null;
-      if (!info.moving) this.poster?.leave(true); // the same, and larger
+      if (!info.moving) this.opening.unveil(true); // the same, and larger
       this.events.emit("picture", info);
     };
     this.pictures.onProblem = (error) => this.fail(error);
@@ -193,7 +154,7 @@ export class Viewer {
     this.link.onState = (state, before) => {
       this.events.emit("link", state);
       if (before === "away") this.comeBack();
-      else if (state === "away" && !this.scene) this.tell(new Problem("noAnswer", { url: this.address }));
+      else if (state === "away" && !this.scene) this.tell(new Problem("noAnswer", { url: this.book.urls[0]?.href ?? "" }));
       this.wake();
     };
     this.startDrawing(options.mode ?? "auto");
@@ -291,7 +252,7 @@ export class Viewer {
   }
 
   private isSettled(): boolean {
-    return this.isWhole() && !this.poster?.there;
+    return this.isWhole() && !this.opening.covers;
   }
 
   // What is below the poster.
@@ -310,143 +271,62 @@ export class Viewer {
 
   // Puts the camera there at once.
   lookAt(pose: Pose) {
-    this.touched = true;
-    this.poster?.leave(true);
+    this.opening.touch();
     this.stage.look(pose);
   }
 
   // Moves there in some seconds; resolves on arrival or when a person takes over.
   flyTo(pose: Pose, seconds?: number): Promise<void> {
-    this.touched = true;
-    this.poster?.leave(true);
+    this.opening.touch();
     if (this.stage.walk === "walk") this.stage.stand(); // over the roofs, no longer on foot
     return this.stage.fly(pose, seconds);
   }
 
   // Flies to where the whole city is in sight.
   home() {
-    this.touched = false;
-    this.poster?.leave(true);
-    this.stage.home();
+    this.opening.home();
   }
 
   /** @internal */
   // Parts of the surface may be covered: home is in what is free. Again, where nobody has moved the camera.
   fitInto(free: () => Area) {
     this.stage.free = free;
-    this.frameAgain();
+    this.opening.frameAgain();
     this.wake(); // notes make way
-  }
-
-  // Home, where it may be another now and nobody has moved the camera.
-  private frameAgain() {
-    if (!this.touched && !this.homeless && !this.framed) this.stage.home();
-  }
-
-  private get size(): string {
-    return `${this.surface.clientWidth} ${this.surface.clientHeight}`;
-  }
-
-  // The first view of a scene: the given one, else that of the poster that is there already, else home as it is known before
-  // any tile. The poster is the picture of just that.
-  private begin(entry: SceneEntry, given: Pose | null, same: boolean) {
-    const { stage, options } = this;
-    if (entry.outline) stage.outline = cornersOfOutline(entry.outline).map((corner) => new Vector3(...corner));
-    const hung = this.postered || same || !this.poster || !options.poster ? null : poseOfPoster(options.poster);
-    const { clientWidth, clientHeight } = this.surface;
-    const aspect = clientWidth / Math.max(1, clientHeight);
-    const draws = !same && this.postered && this.currentMode === "splats" && entry.preview !== null;
-    this.touched = given !== null;
-    if (given) stage.look(given);
-    else if (hung) stage.look(hung);
-    else stage.home(null, draws ? roughly(aspect) : aspect);
-    const url = draws && posterUrl(entry, this.book.appearance, given ?? stage.pose(), aspect);
-    if (url) this.hang(url);
-    this.framed = !given && (hung || url) ? this.size : "";
-    this.postered = options.poster !== "" && options.backdrop !== false;
-  }
-
-  // The server's picture of the first view, until our own is whole.
-  private hang(url: string) {
-    this.poster?.leave(true);
-    this.poster = new Poster(this.surface, url);
-    this.poster.onGone = (shown) => {
-      this.poster = null;
-      if (!shown) {
-        this.framed = "";
-        this.frameAgain();
-      }
-      this.wake(false);
-    };
   }
 
   /** @internal */
   // A picture of the server stands before ours, or is on its way.
   get hasPoster(): boolean {
-    return this.poster !== null;
-  }
-
-  // What is to be seen before anything is drawn.
-  private setGround() {
-    this.surface.style.background = this.theme === "dark" ? "#0b0e13" : "#dfe6ee";
+    return this.opening.hasPoster;
   }
 
   // Where the city is at a point of the container, in CSS pixels from its corner; null for the sky.
   pick(x: number, y: number): Place | null {
-    const point = this.surfaceOn(this.stage.ray(x, y));
-    return point && this.stage.frame.placeOf(point);
+    return this.probe.pick(x, y);
   }
 
   // Where the server draws it also knows what is there.
-  private async tellClick(x: number, y: number) {
-    const { scene, surface } = this;
-    const asks = this.currentMode === "pictures" && scene?.questions;
-    const { clientWidth: width, clientHeight: height } = surface;
-    const click = { told: false };
-    this.click = click;
-    const place = asks
-      ? await askPlace(this.link, scene, this.pose, { x, y, width, height }).catch(() => null)
-      : this.pick(x, y);
-    if (this.closed || (this.click !== click && asks)) return;
-    click.told = true;
-    this.events.emit("click", { x, y, place });
-  }
-
-  private takeBackClick() {
-    if (this.click.told) this.events.emit("unclick", null);
-    this.click = { told: true }; // one that the server has not answered is not told any more
+  private placeAt(x: number, y: number): Place | null | Promise<Place | null> {
+    const { clientWidth: width, clientHeight: height } = this.surface;
+    if (this.currentMode !== "pictures" || !this.scene?.questions) return this.pick(x, y);
+    return askPlace(this.link, this.scene, this.pose, { x, y, width, height }).catch(() => null);
   }
 
   // The height of what is drawn at a place, seen from straight above; null where there is nothing.
-  heightOf({ lon, lat }: Pick<Place, "lon" | "lat">): number | null {
-    const { frame, extent } = this.stage;
-    const above = frame.pointOf({ lon, lat, h: 0 }).setY(extent.max.y + ABOVE_M);
-    const perMetre = FINE_M / (above.y - extent.min.y + 1);
-    const ray = new Ray(above, new Vector3(0, -1, 0));
-    const found = this.city ? pickMedian(this.city.engine.visibleBlocks, ray, perMetre) : null;
-    return found && frame.placeOf(found).h;
+  heightOf(place: Pick<Place, "lon" | "lat">): number | null {
+    return this.probe.heightOf(place);
   }
 
   // How high a place is above the ground there, roughly: that of the surroundings, below roofs. null where it is not known.
   aboveGround(place: Place): number | null {
-    const point = this.stage.frame.pointOf(place);
-    const ground = this.city?.groundAt(point) ?? null;
-    return ground === null ? null : Math.max(0, point.y - ground);
+    return this.probe.aboveGround(place);
   }
 
   /** @internal */
   // What is drawn here; nothing where the server draws.
   get blocks(): readonly Block[] {
     return (this.currentMode === "splats" && this.city?.engine.visibleBlocks) || [];
-  }
-
-  private surfaceOn(ray: Ray): Vector3 | null {
-    const perMetre =
-      (2 * Math.tan((this.stage.camera.fov * Math.PI) / 360)) / Math.max(1, this.surface.clientHeight);
-    const point = this.city ? pickMedian(this.city.engine.visibleBlocks, ray, perMetre) : null;
-    const other = this.city ? this.layers.meet(ray) : null;
-    if (!point || !other) return point ?? other;
-    return point.distanceTo(ray.origin) < other.distanceTo(ray.origin) ? point : other;
   }
 
   // ---- scenes and appearance ----
@@ -473,7 +353,7 @@ export class Viewer {
       this.pace.showedRough();
       this.events.emit("preview", appearance);
     } else this.pace.mix();
-    this.run(); // the loop may rest
+    this.turns.run(); // the loop may rest
   }
 
   // Photographs are listed with time, pose and thumbnail where the server knows them.
@@ -500,7 +380,7 @@ export class Viewer {
     if (!this.city || (wanted === null && this.city.split === null)) return;
     this.city.split = wanted;
     this.pace.mix();
-    this.run(); // the loop may rest
+    this.turns.run(); // the loop may rest
   }
 
   // Something of the scene is on the screen.
@@ -533,9 +413,9 @@ export class Viewer {
     if (!how.keep) {
       const before = how.same ? stage.pose() : how.pose;
       stage.frame = new Frame(info.transform);
-      this.homeless = true;
+      this.opening.homeless = true;
       this.setExtent(extentOf(info, stage.frame));
-      this.begin(entry, before, how.same);
+      this.opening.begin(entry, this.book.appearance, before, how.same, this.currentMode === "splats");
       this.overlay.reset();
       this.layers.reset();
       this.pictures.retry();
@@ -563,8 +443,8 @@ export class Viewer {
     this.setExtent(box);
     this.stage.outline = corners;
     this.layers.reset();
-    this.homeless = false;
-    this.frameAgain();
+    this.opening.homeless = false;
+    this.opening.frameAgain();
   }
 
   private setExtent(box: Box3) {
@@ -574,7 +454,7 @@ export class Viewer {
 
   private fail(error: unknown) {
     if (this.closed || (error instanceof DOMException && error.name === "AbortError")) return;
-    if (!this.scene) this.poster?.leave(true);
+    if (!this.scene) this.opening.unveil(true);
     const problem = problemOf(error);
     this.error = problem;
     this.events.emit("problem", problem);
@@ -585,12 +465,6 @@ export class Viewer {
   private tell(problem: Problem) {
     console.warn(`citysplat: ${problem.message}`);
     queueMicrotask(() => this.closed || this.events.emit("problem", problem));
-  }
-
-  // Where it asks first.
-  private get address(): string {
-    const { url = "./" } = this.options;
-    return new URL((Array.isArray(url) ? url[0] : url) ?? "./", location.href).href;
   }
 
   private clearProblem() {
@@ -619,11 +493,8 @@ export class Viewer {
 
   // Whether the server draws pictures of this scene.
   async canDrawPictures(): Promise<boolean> {
-    if (!this.scene?.pictures) return false;
-    const url = pictureUrl(this.scene, this.book.appearance, this.pose, 64, 48);
-    return fetch(url)
-      .then((response) => response.ok)
-      .catch(() => false);
+    const url = this.serverPicture(64, 48);
+    return url !== null && fetch(url).then(({ ok }) => ok).catch(() => false);
   }
 
   // Changes who draws.
@@ -631,7 +502,7 @@ export class Viewer {
     if (mode === this.currentMode) return;
     if (mode === "splats" && !this.city && !this.startCity()) return;
     this.currentMode = mode;
-    this.pictureCanvas.hidden = mode !== "pictures";
+    this.nodes.pictures.hidden = mode !== "pictures";
     if (mode === "splats") this.pictures.stop();
     else this.stage.stand();
     this.pace.forgive();
@@ -672,14 +543,13 @@ export class Viewer {
 
   // Whose the city is, and the map.
   private showCredit() {
-    this.credit.textContent = [this.info?.attribution, this.basemapCredit].filter(Boolean).join(" · ");
-    this.credit.hidden = !this.credit.textContent;
+    this.nodes.setCredit([this.info?.attribution, this.basemapCredit].filter(Boolean).join(" · "));
   }
 
   // dark: a dimmed sky.
   setTheme(theme: "dark" | "light") {
     this.theme = theme;
-    this.setGround();
+    this.nodes.setTheme(theme);
     this.city?.backdrop.setTheme(theme);
     this.wake();
   }
@@ -692,7 +562,7 @@ export class Viewer {
 
   // The picture on the screen as a PNG.
   async snapshot(): Promise<Blob> {
-    const canvas = this.currentMode === "splats" ? this.canvas : this.pictureCanvas;
+    const canvas = this.currentMode === "splats" ? this.canvas : this.nodes.pictures;
     if (this.currentMode === "splats") this.city?.redraw();
     return new Promise((resolve, reject) =>
       canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no picture"))), "image/png"),
@@ -702,21 +572,9 @@ export class Viewer {
   // The view at any size, drawn by the server (in parts where it draws smaller ones only) or, where there
   // is none, by this browser. Rejects with why not.
   async screenshot(options: ShotOptions): Promise<Blob> {
-    const { checkSize, drawByServer, encodeCanvas } = await import("./shot");
-    const { width, height, format = "jpg" } = options;
-    checkSize(width, height);
-    const background = options.background ?? (this.city?.backdrop.visible ? "sky" : "black");
-    const { scene, stage } = this;
-    const by = options.by ?? (scene?.questions ? "server" : "browser");
-    if (by === "server") {
-      if (!scene?.questions) throw new Problem("noPictures");
-      stage.camera.updateMatrixWorld();
-      const render = new URL("render", scene.questions);
-      return drawByServer(render, stage.camera, this.book.appearance, { ...options, background });
-    }
-    const { city } = this;
-    if (!city) throw new Problem("noPictures");
-    return city.drawOnce(width, height, background === "sky", () => encodeCanvas(this.canvas, format));
+    const { takeShot } = await import("./shot");
+    const { scene, stage, city, canvas } = this;
+    return takeShot({ scene, camera: stage.camera, city, canvas, appearance: this.book.appearance }, options);
   }
 
   // The view as the server draws it, at any size that it takes.
@@ -756,7 +614,7 @@ export class Viewer {
   private startDrawing(mode: Mode | "auto") {
     if (mode !== "pictures" && this.startCity()) return;
     this.currentMode = "pictures";
-    this.pictureCanvas.hidden = false;
+    this.nodes.pictures.hidden = false;
   }
 
   private startCity(): boolean {
@@ -806,13 +664,7 @@ export class Viewer {
 
   private wake(draw = true) {
     this.pace.wake(draw);
-    this.run();
-  }
-
-  private run() {
-    clearTimeout(this.timer);
-    this.timer = 0;
-    if (!this.closed) this.running ||= requestAnimationFrame((now) => this.loop(now));
+    this.turns.run();
   }
 
   private resize() {
@@ -821,16 +673,10 @@ export class Viewer {
     this.sharpen(1);
     this.overlay.resize(width, height);
     this.stage.resize(width, height);
-    if (this.framed !== this.size) this.framed = "";
-    this.frameAgain();
+    this.opening.resize();
   }
 
-  // A page at rest has no loop: it goes on while something moves, is to be drawn or has just happened,
-  // and looks now and then at what is on its way. Everything else wakes it.
-  private loop(now: number) {
-    this.running = 0;
-    const seconds = Math.min((now - (this.previous || now)) / 1000, 0.25);
-    this.previous = now;
+  private turn(now: number, seconds: number): number | null {
     const moved = this.stage.tick(seconds);
     if (moved) this.events.emit("move", this.pose);
     this.moving = moved;
@@ -838,17 +684,15 @@ export class Viewer {
     else this.drawCity(now, moved);
     this.report();
     this.events.emit("turn", null);
-    this.goOn();
+    return this.untilNext();
   }
 
-  private goOn() {
+  private untilNext(): number | null {
     const { stage, pace, city } = this;
     const drawing = this.currentMode === "splats" && (city?.clock.busy ?? false);
-    if (this.moving || stage.moves || pace.awake || pace.restless || drawing) return this.run();
-    this.previous = 0;
+    if (this.moving || stage.moves || pace.awake || pace.restless || drawing) return 0;
     const coming = this.info !== null && !this.isSettled();
-    const wait = coming ? LOOK_MS : stage.hasPad ? PAD_MS : 0;
-    if (wait && !this.timer && !this.closed) this.timer = window.setTimeout(() => this.run(), wait);
+    return coming ? LOOK_MS : stage.hasPad ? PAD_MS : null;
   }
 
   private listen() {
@@ -913,7 +757,7 @@ export class Viewer {
   }
 
   private report() {
-    if (this.isWhole()) this.poster?.leave(false);
+    if (this.isWhole()) this.opening.unveil(false);
     this.lookForCity();
     const ready = this.state.ready;
     if (ready && !this.wasReady) this.events.emit("ready", this.state);
@@ -935,9 +779,8 @@ export class Viewer {
   // Ends it, and frees memory and the graphics card.
   dispose() {
     this.closed = true;
-    this.poster?.leave(true);
-    cancelAnimationFrame(this.running);
-    clearTimeout(this.timer);
+    this.opening.unveil(true);
+    this.turns.end();
     this.listening.abort();
     this.resizing.disconnect();
     this.stage.dispose();
@@ -946,8 +789,7 @@ export class Viewer {
     this.overlay.dispose();
     this.city?.dispose();
     this.link.dispose();
-    this.surface.remove();
-    if (this.positions) this.container.style.position = "";
+    this.nodes.remove();
     this.events.clear();
   }
 }
