@@ -123,8 +123,8 @@ double cursor_f64(struct cursor *c);
 enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out,
                         struct err *e) ERR_USE;
 /* Writes `path.part-MACHINE-PID`, syncs it and renames it to `path`. On ERR_IO or ERR_LIMIT the new
- * file is removed and an older file of that name stays as it was. MACHINE is 8 hex digits of a hash
- * of the machine's name. */
+ * file is removed and an older file of that name stays as it was. MACHINE is 4 hex digits of a hash
+ * of the machine's name and the namespace of its processes. */
 enum err_code file_write(const char *path, const void *bytes, size_t n, struct err *e) ERR_USE;
 /* file_write in steps, for libraries that want a path or a stream. file_begin gives the name to
  * write to. file_commit syncs and renames that file. file_abort removes it. `part` has

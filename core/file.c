@@ -109,20 +109,26 @@ enum err_code file_write_at(int fd, const char *name, const void *bytes, size_t 
 
 static const char file_part[] = ".part-";
 
+enum { FILE_MACHINE = 4 }; /* digits */
+
 /* The machine is in the name because folders are shared: a process of another one that writes there
- * must not be taken for a dead one of this. */
-static void file_machine(char out[9])
+ * must not be taken for a dead one of this. Containers may share the machine's name, and not its
+ * processes. */
+static void file_machine(char out[FILE_MACHINE + 1])
 {
-    char name[256] = "", hex[33];
-    (void)gethostname(name, sizeof name - 1);
-    hash_text(hash_bytes(name, strlen(name)), hex);
-    memcpy(out, hex, 8);
-    out[8] = '\0';
+    char name[512] = "", hex[33];
+    (void)gethostname(name, 255);
+    size_t n = strlen(name);
+    const ssize_t more = readlink("/proc/self/ns/pid", name + n, sizeof name - n);
+    n += more > 0 ? (size_t)more : 0;
+    hash_text(hash_bytes(name, n), hex);
+    memcpy(out, hex, FILE_MACHINE);
+    out[FILE_MACHINE] = '\0';
 }
 
 enum err_code file_begin(const char *path, char *part, struct err *e)
 {
-    char machine[9];
+    char machine[FILE_MACHINE + 1];
     file_machine(machine);
     int n = snprintf(part, FILE_PATH_MAX, "%s%s%s-%ld", path, file_part, machine, (long)getpid());
     if (n < 0 || n >= FILE_PATH_MAX)
@@ -130,38 +136,40 @@ enum err_code file_begin(const char *path, char *part, struct err *e)
     return ERR_OK;
 }
 
-/* Whether a name ends in what file_begin appends, and that process of this machine is gone. */
+/* Whether this follows the name of a file that a process of this machine began and that process is
+ * gone; machine NULL: whether any process began it. Libraries append to the names that they are
+ * given: "-journal", ".ovr.tmp". */
 static bool file_is_left(const char *name, const char *machine)
 {
-    const char *last = NULL, *digits;
+    const size_t n = sizeof file_part - 1;
     char *end;
-    for (const char *p = name; (p = strstr(p, file_part)); p++)
-        last = p;
-    digits = last ? last + sizeof file_part - 1 + 9 : NULL;
-    if (!last || strlen(last) < sizeof file_part - 1 + 10 || digits[-1] != '-' ||
-        memcmp(digits - 9, machine, 8) != 0)
+    if (strncmp(name, file_part, n) != 0 || strspn(name + n, "0123456789abcdef") != FILE_MACHINE ||
+        name[n + FILE_MACHINE] != '-' || (machine && memcmp(name + n, machine, FILE_MACHINE) != 0))
         return false;
-    const long pid = strtol(digits, &end, 10);
-    return pid > 0 && !*end && kill((pid_t)pid, 0) && errno == ESRCH;
+    const long pid = strtol(name + n + FILE_MACHINE + 1, &end, 10);
+    return pid > 0 && (!*end || *end == '-' || *end == '.') &&
+           (!machine || (kill((pid_t)pid, 0) && errno == ESRCH));
 }
 
 /* What was left in `dir` by writers of `name`; NULL: of all that it holds, whether they run or not.
  */
 static void file_sweep_in(const char *dir, const char *name)
 {
-    char machine[9], path[FILE_PATH_MAX];
+    char machine[FILE_MACHINE + 1], path[FILE_PATH_MAX];
+    struct stat st;
     const size_t n = name ? strlen(name) : 0;
     file_machine(machine);
     DIR *d = opendir(dir);
     for (struct dirent *ent; d && (ent = readdir(d));) {
-        const bool left = name ? !strncmp(ent->d_name, name, n) &&
-                                     !strncmp(ent->d_name + n, file_part, sizeof file_part - 1) &&
-                                     file_is_left(ent->d_name + n, machine)
-                               : strstr(ent->d_name, file_part) != NULL;
+        const char *part = strstr(ent->d_name, file_part);
+        const bool left =
+            name ? !strncmp(ent->d_name, name, n) && file_is_left(ent->d_name + n, machine)
+                 : part && file_is_left(part, NULL);
         if (!left || file_join(path, dir, ent->d_name, NULL))
             continue;
         file_remove_tree(path);
-        log_info("disk", "%s was left by a run that was killed: removed", path);
+        if (lstat(path, &st))
+            log_info("disk", "%s was left by a run that was killed: removed", path);
     }
     if (d)
         closedir(d);

@@ -134,7 +134,7 @@ static bool http_is_first(const struct server_config *cfg)
 static enum err_code http_check_admin(const struct server_config *cfg, struct err *e)
 {
     enum err_code rc = listen_check_at(cfg->admin, "--admin", e);
-    if (!rc && http_is_first(cfg))
+    if (!rc && supervisor_socket(NULL) < 0 && http_is_first(cfg))
         rc = err_set(e, ERR_ARG,
                      "--admin %s: there the first listener is (--address, --port): choose another "
                      "port",

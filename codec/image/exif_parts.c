@@ -147,9 +147,10 @@ static void exif_parts_profile(struct exif_parts *x, const uint8_t *p, size_t n,
         (memcmp(p, keys[0], head - packed) != 0 && memcmp(p, keys[1], head - packed) != 0))
         return;
     const uint8_t *at = p + head, *end = p + n;
-    if (packed && exif_parts_inflate(at, n - head, &text)) {
+    if (packed) {
+        const bool whole = exif_parts_inflate(at, n - head, &text);
         at = text.data;
-        end = at + text.size;
+        end = whole ? at + text.size : at;
     }
     for (int line = 0; line < 3 && at < end; line++)
         while (at < end && *at++ != '\n')
@@ -172,7 +173,7 @@ static void exif_parts_png(const uint8_t *p, size_t n, struct exif_parts *x)
         const size_t len = exif_parts_be32(p + at);
         if (len > n - at - 12)
             break;
-        if (!memcmp(p + at + 4, "eXIf", 4) && !x->exif.p)
+        if (!memcmp(p + at + 4, "eXIf", 4) && (!x->exif.p || x->profile.size))
             x->exif = (struct exif_bytes){p + at + 8, len};
         if (!memcmp(p + at + 4, "iTXt", 4))
             exif_parts_chunk(x, p + at + 8, len);

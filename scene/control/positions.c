@@ -289,41 +289,59 @@ static bool positions_sigma(const char *field, double *out)
     return end != field && !*end;
 }
 
-/* Degrees as ExifTool and surveyors write them: 47 deg 33' 28.79" N, 47°33.48'S, 7:34:23.2 W. */
+/* Degrees as ExifTool and surveyors write them: 47 deg 33' 28.79" N, 47°33.48'S, 7:34:23.2 W. Two
+ * numbers with blanks between are none: they may be two coordinates. */
 static bool positions_angle(const char *text, const char letters[3], double *out)
 {
-    /* blanks, colons, quotation marks, "deg", and the bytes of typographic marks in UTF-8 */
-    static const char between[] = " :'\"deg\xc2\xb0\xba\xe2\x80\xb2\xb3\x99\x9d";
+    /* blanks, colons, quotation marks, and the bytes of typographic marks in UTF-8 */
+    static const char between[] = " :'\"\xc2\xb0\xba\xe2\x80\xb2\xb3\x99\x9d";
     double part[3] = {0};
+    size_t n = 0, marks = 0;
     const char *p = text;
-    for (size_t n = 0, apart = 1; n < 3 && apart; n++) {
-        char *end;
-        part[n] = strtod(p, &end);
-        if (end == p && n == 0)
+    while (n < 3 && number_read(&p, &part[n])) {
+        if (n && part[n - 1] != floor(part[n - 1]))
             return false;
-        apart = strspn(end, between);
-        p = end + apart;
+        p += strspn(p, " ");
+        if (!strncasecmp(p, "deg", 3))
+            p += 3, marks++;
+        marks += strspn(p, between);
+        p += strspn(p, between);
+        n++;
     }
     const char letter = *p ? (char)(*p | 0x20) : '\0';
     *out = fabs(part[0]) + part[1] / 60 + part[2] / 3600;
     if (signbit(part[0]) || letter == letters[1])
         *out = -*out;
-    return part[1] >= 0 && part[1] < 60 && part[2] >= 0 && part[2] < 60 && isfinite(*out) &&
-           (!letter || (strchr(letters, letter) && !p[1]));
+    return n > 0 && (n != 2 || marks) && part[1] >= 0 && part[1] < 60 && part[2] >= 0 &&
+           part[2] < 60 && (!letter || (strchr(letters, letter) && !p[1]));
 }
 
 /* "426.8 m Above Sea Level" */
 static bool positions_altitude(const char *text, double *out)
 {
-    char *end;
-    *out = strtod(text, &end);
-    end += strspn(end, " ");
-    if (end == text || *end != 'm' || !isfinite(*out))
+    const char *p = text;
+    if (!number_read(&p, out))
         return false;
-    end += 1 + strspn(end + 1, " ");
-    const bool below = !strcasecmp(end, "below sea level");
+    p += strspn(p, " ");
+    if (*p != 'm')
+        return false;
+    p += 1 + strspn(p + 1, " ");
+    const bool below = !strcasecmp(p, "below sea level");
     *out = below ? -fabs(*out) : *out;
-    return below || !*end || !strcasecmp(end, "above sea level");
+    return below || !*p || !strcasecmp(p, "above sea level");
+}
+
+/* Whether this field of a column of directions says west, south or below. Other words in columns of
+ * such names mean something else: the height of the take-off, a coordinate system. */
+static bool positions_turns(enum column c, const char *ref)
+{
+    static const char *const words[COLUMN_Z + 1][4] = {[COLUMN_X] = {"w", "west"},
+                                                       [COLUMN_Y] = {"s", "south"},
+                                                       [COLUMN_Z] = {"1", "3", "below sea level"}};
+    for (size_t i = 0; words[c][i]; i++)
+        if (!strcasecmp(ref, words[c][i]))
+            return true;
+    return false;
 }
 
 /* x, y or z of a row; its direction may stand in another column. */
@@ -331,12 +349,11 @@ static bool positions_coordinate(const struct positions_head *h, enum column c, 
                                  char *const field[TABLE_FIELDS], size_t wide, double *out)
 {
     const char *text = field[h->column[c]];
-    const char *ref = h->ref[c] < wide ? field[h->ref[c]] : "";
     if (!table_number(text, out) &&
         !(c == COLUMN_Z ? positions_altitude(text, out)
                         : lonlat && positions_angle(text, c == COLUMN_X ? "ew" : "ns", out)))
         return false;
-    if (*ref && strchr(c == COLUMN_X ? "Ww" : c == COLUMN_Y ? "Ss" : "1Bb", *ref))
+    if (h->ref[c] < wide && positions_turns(c, field[h->ref[c]]))
         *out = -fabs(*out);
     return true;
 }

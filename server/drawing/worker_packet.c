@@ -66,5 +66,5 @@ enum err_code worker_packet_take(int memory, size_t n, struct buf *out, struct e
     enum err_code rc = n ? file_read_at(memory, "an answer", to, n, 0, e) : ERR_OK;
     if (rc)
         out->size = had;
-    return rc;
+    return rc == ERR_IO ? ERR_FORMAT : rc; /* ERR_IO is of a process that has ended */
 }

@@ -181,14 +181,20 @@ static void what_killed_processes_left_is_removed(void **state)
     struct err e = {0};
     struct outdir out;
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], other[FILE_PATH_MAX], own[FILE_PATH_MAX],
-        dead[FILE_PATH_MAX], away[FILE_PATH_MAX], inside[FILE_PATH_MAX];
+        dead[FILE_PATH_MAX], away[FILE_PATH_MAX], inside[FILE_PATH_MAX], base[FILE_PATH_MAX + 8],
+        kept[FILE_PATH_MAX];
     kit_tmpdir(dir);
     kit_ok(file_join(path, dir, "a.tiles", &e), e);
     kit_ok(file_join(other, dir, "a.tiles2", &e), e);
     kit_ok(file_begin(path, own, &e), e);
     left_by_a_dead_process(path, dead);
     memcpy(away, dead, sizeof away);
-    away[strlen(path) + 6] ^= 1; /* of another machine */
+    char *const machine = away + strlen(path) + 6; /* another one */
+    *machine = *machine == '0' ? '1' : '0';
+    snprintf(base, sizeof base, "%s-base", dead); /* what a library put beside it */
+    kit_ok(file_write(base, "1", 1, &e), e);
+    kit_ok(file_join(kept, dir, "a.tiles.part-1", &e), e); /* a person's copy */
+    kit_ok(file_mkdir(kept, &e), e);
     kit_ok(file_write(own, "1", 1, &e), e);
     kit_ok(file_write(away, "1", 1, &e), e);
     kit_ok(file_mkdir(dead, &e), e);
@@ -198,11 +204,11 @@ static void what_killed_processes_left_is_removed(void **state)
     file_sweep(other);
     assert_true(file_exists(inside)); /* of another name */
     file_sweep(path);
-    assert_false(file_exists(dead));
+    assert_false(file_exists(dead) || file_exists(base));
     assert_true(file_exists(own) && file_exists(away) && file_exists(other));
     file_sweep_locked(dir);
     assert_false(file_exists(own) || file_exists(away));
-    assert_true(file_exists(other));
+    assert_true(file_exists(other) && file_is_dir(kept));
     kit_ok(file_mkdir(dead, &e), e);
     kit_ok(outdir_begin(path, "marker", false, &out, &e), e);
     assert_false(file_exists(dead));

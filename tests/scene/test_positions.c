@@ -335,7 +335,10 @@ static void tables_of_other_programs_are_read(void **state)
         {"Photo name;Lon;Lat;Height\nA.jpg;7\u00b030\u20320.0\u2033E;47:30:00 s;3 m below sea "
          "level\n",
          4326, 7.5, -47.5, -3, 0},
-        {"image,lon,lat,height\nA.jpg,7.5E,-47 30,300 m\n", 4326, 7.5, -47.5, 300, 0},
+        {"image,lon,lat,height\nA.jpg,7.5E,-47 30',300 m\n", 4326, 7.5, -47.5, 300, 0},
+        /* columns of such names that say something else */
+        {"image,lon,lon_ref,lat,lat_ref,alt,alt_ref\nA.jpg,7.5,WGS84,47.5,SWEREF99,300,120.5\n",
+         4326, 7.5, 47.5, 300, 0},
         /* WingtraHub: a blank behind the # */
         {"# image name,latitude [decimal degrees],longitude [decimal degrees],altitude [meter],"
          "yaw [degrees]\nA.jpg,47.5,7.5,300,0\n",
@@ -363,6 +366,9 @@ static void tables_of_other_programs_are_read(void **state)
         {"image,lon,lat,height\nA.jpg,7.5N,47.5E,300\n", "decimal degrees that are negative"},
         {"image,lon,lat,height\nA.jpg,7.5.3,47.5,300\n", "'7.5.3', is no number"},
         {"image,lon,lat,height\nA.jpg,7.5,47 61 0,300\n", "'47 61 0', is no number"},
+        {"image,lon,lat,height\nA.jpg,7.5 47.5,47.5,300\n", "'7.5 47.5', is no number"},
+        {"image,lon,lat,height\nA.jpg,7 47,47.5,300\n", "'7 47', is no number"},
+        {"image,lon,lat,height\nA.jpg,7.5,8 30 15 e,300\n", "'8 30 15 e', is no number"},
         {"image,lon,lat,height\nA.jpg,7.5,47.5,300 ft\n", "'300 ft', is no number: write metres"},
         {"EPSG:25832\nA.jpg 7.5E 47.5 300\n", "'7.5E', is no number"},
         {"image,lon,lat,height,sigma\nA.jpg,7.5,47.5,300,good\n", "'good', is no number"}};

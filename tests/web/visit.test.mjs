@@ -51,7 +51,7 @@ const metresOf = ({ lon, lat }) => [(lon - ORIGIN.lon) * M_PER_DEG * Math.cos((O
 // page.mouse.dblclick waits for it after every event, so on a busy machine its second press came too late.
 async function pressTwice(page, x, y, apartMs, touch) {
     const cdp = await page.context().newCDPSession(page);
-    const began = Date.now() / 1000;
+    const began = Date.now() / 1000 - 1.5; // a press after these is later
     const names = touch ? ["touchStart", "touchEnd"] : ["mousePressed", "mouseReleased"];
     const sent = [1, 2].flatMap((clickCount) =>
         names.map((type, up) => {

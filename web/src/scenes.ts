@@ -64,8 +64,7 @@ export class Scenes {
 
   // Where it asks first, and where then.
   get urls(): URL[] {
-    const { url = "./" } = this.options;
-    return [url].flat().map((one) => new URL(one, location.href));
+    return [this.options.url ?? "./"].flat().map((one) => new URL(one, location.href));
   }
 
   async start() {
