@@ -114,29 +114,61 @@ static void move_gps(const char *photo, double east_m)
     buf_free(&b);
 }
 
+struct far_case {
+    enum { FAR_GPS, FAR_POSE, FAR_POSE_AGAINST_POINTS } wrong;
+    double by_m;
+    const char *why; /* of being dropped; "": it stays, and its GPS does not count */
+};
+
+/* What the scene `out` has of the city, `right` without the fault. */
+static void far_ends_as(const char *out, const struct scene *right, const struct far_case *c)
+{
+    const bool stays = !c->why[0];
+    struct scene s;
+    struct err e = {0};
+    double was[3], is[3], moved[3];
+    size_t n;
+    json_t *report = read_json(out, "report.json");
+    const json_t *p = json_array_get(json_object_get(report, "photos"), FAR_PHOTO);
+    if (dropped_as(report, c->why, &n) != (stays ? 32 : 1) || n != !stays ||
+        !json_is_null(json_object_get(p, "residual_m")) !=
+            (!stays && c->wrong != FAR_POSE_AGAINST_POINTS))
+        fail_msg("wrong by %.0f m, kind %d: '%s'", c->by_m, (int)c->wrong,
+                 json_string_value(json_object_get(p, "why")));
+    kit_ok(scene_read(out, &s, &e), e);
+    assert_int_equal(s.n_images, stays ? 32 : 31);
+    /* The others lie where they did, and a wrong pose that stays where it was put. */
+    camera_center(&right->images[0].cam, was);
+    camera_center(&s.images[0].cam, is);
+    kit_near_d("another photograph", is, was, 3, tol_place_m, 0);
+    camera_center(&right->images[FAR_PHOTO].cam, was);
+    camera_center(&s.images[FAR_PHOTO].cam, moved);
+    was[0] += c->wrong == FAR_POSE ? c->by_m : 0;
+    if (stays)
+        kit_near_d("the photograph", moved, was, 3, 2 * tol_place_m, 0);
+    scene_free(&s);
+    json_decref(report);
+}
+
 /* A photograph whose GPS or pose is wrong by so much: which of them stay, and that the frame does
  * not follow it. Exact GPS otherwise: the limit is 6 m. */
 static void test_far_from_gps(void **state)
 {
-    enum wrong { GPS, POSE, POSE_AGAINST_POINTS };
-    static const struct {
-        enum wrong wrong;
-        double by_m;
-        const char *why; /* of being dropped; "": it stays, and its GPS does not count */
-    } cases[] = {{GPS, 8, ""},
-                 {GPS, 15, ""},
-                 {GPS, 30, "m from its GPS position, more than 6.0 m"},
-                 {POSE, 8, ""},
-                 {POSE, 15, ""},
-                 {POSE, 30, "m from its GPS position, more than 6.0 m"},
-                 {POSE_AGAINST_POINTS, 8, "its pose disagrees with the points it sees"},
-                 {POSE_AGAINST_POINTS, 15, "its pose disagrees with the points it sees"},
-                 {POSE_AGAINST_POINTS, 30, "its pose disagrees with the points it sees"}};
+    static const struct far_case cases[] = {
+        {FAR_GPS, 8, ""},
+        {FAR_GPS, 15, ""},
+        {FAR_GPS, 30, "m from its GPS position, more than 6.0 m"},
+        {FAR_POSE, 8, ""},
+        {FAR_POSE, 15, ""},
+        {FAR_POSE, 30, "m from its GPS position, more than 6.0 m"},
+        {FAR_POSE_AGAINST_POINTS, 8, "its pose disagrees with the points it sees"},
+        {FAR_POSE_AGAINST_POINTS, 15, "its pose disagrees with the points it sees"},
+        {FAR_POSE_AGAINST_POINTS, 30, "its pose disagrees with the points it sees"}};
     char city[FILE_PATH_MAX], images[FILE_PATH_MAX], photo[FILE_PATH_MAX], model[FILE_PATH_MAX],
         out[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
-    struct scene right, s;
+    struct scene right;
     struct buf original = {0};
     struct err e = {0};
     city_config(&sc, city, "far");
@@ -153,39 +185,18 @@ static void test_far_from_gps(void **state)
     kit_ok(ingest_city(city, &ic, &e), e);
     kit_ok(scene_read(out, &right, &e), e);
     for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
-        const bool stays = !cases[k].why[0];
         struct colmap_model m;
-        double was[3], is[3], moved[3];
-        size_t n;
         kit_ok(colmap_read(city, &m, &e), e);
         assert_string_equal(m.images[FAR_PHOTO].name, "IMG_0014.jpg");
-        if (cases[k].wrong != GPS)
-            move_pose(&m, &right, cases[k].by_m, cases[k].wrong == POSE);
+        if (cases[k].wrong != FAR_GPS)
+            move_pose(&m, &right, cases[k].by_m, cases[k].wrong == FAR_POSE);
         else
             move_gps(photo, cases[k].by_m);
         kit_ok(colmap_write_bin(model, &m, &e), e);
         colmap_free(&m);
         kit_ok(ingest_run(images, model, &ic, &e), e);
         kit_ok(file_write(photo, original.data, original.size, &e), e);
-        json_t *report = read_json(out, "report.json");
-        const json_t *p = json_array_get(json_object_get(report, "photos"), FAR_PHOTO);
-        if (dropped_as(report, cases[k].why, &n) != (stays ? 32 : 1) || n != !stays ||
-            !json_is_null(json_object_get(p, "residual_m")) != (!stays && cases[k].wrong < 2))
-            fail_msg("wrong by %.0f m, kind %d: '%s'", cases[k].by_m, (int)cases[k].wrong,
-                     json_string_value(json_object_get(p, "why")));
-        kit_ok(scene_read(out, &s, &e), e);
-        assert_int_equal(s.n_images, stays ? 32 : 31);
-        /* The others lie where they did, and a wrong pose that stays where it was put. */
-        camera_center(&right.images[0].cam, was);
-        camera_center(&s.images[0].cam, is);
-        kit_near_d("another photograph", is, was, 3, tol_place_m, 0);
-        camera_center(&right.images[FAR_PHOTO].cam, was);
-        camera_center(&s.images[FAR_PHOTO].cam, moved);
-        was[0] += cases[k].wrong == POSE ? cases[k].by_m : 0;
-        if (stays)
-            kit_near_d("the photograph", moved, was, 3, 2 * tol_place_m, 0);
-        scene_free(&s);
-        json_decref(report);
+        far_ends_as(out, &right, &cases[k]);
     }
     scene_free(&right);
     buf_free(&original);

@@ -164,6 +164,14 @@ static void test_it_starts_with_what_is_whole(void **state)
     assert_int_equal(status_of("GET", "/d/toy/tileset.json", ""), 200);
 }
 
+static void is_there(uint16_t port, const char *target)
+{
+    struct reply r;
+    ask_port(port, "GET", target, "", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+}
+
 /* A store whose file cannot be opened for a while, as on a disk of a server that is away: the
  * program goes on, is well by its supervisor, encodes tiles by its one worker, and says that it is
  * ready. Those who ask for a reload meanwhile wait for the next one, which finds what the first
@@ -212,12 +220,8 @@ static void test_a_store_that_hangs(void **state)
     for (int i = 0; i < 3; i++)
         hears(&p, "WATCHDOG=1");
     assert_int_equal(log_says(&p, "info serve reloaded"), 1);
-    ask_port(p.port, "GET", "/healthz", "", &r);
-    assert_int_equal(r.status, 200);
-    buf_free(&r.raw);
-    ask_port(p.port, "GET", tile_target(17, "glb", target), "", &r);
-    assert_int_equal(r.status, 200);
-    buf_free(&r.raw);
+    is_there(p.port, "/healthz");
+    is_there(p.port, tile_target(17, "glb", target));
     assert_int_equal(fcntl(lease, F_SETLEASE, F_UNLCK), 0);
     close(lease);
     hears(&p, "READY=1");
@@ -230,9 +234,7 @@ static void test_a_store_that_hangs(void **state)
         buf_free(&r.raw);
         close(asks[i]);
     }
-    ask_port(p.port, "GET", "/d/slow/tileset.json", "", &r);
-    assert_int_equal(r.status, 200);
-    buf_free(&r.raw);
+    is_there(p.port, "/d/slow/tileset.json");
     assert_int_equal(program_end(&p, SIGTERM), 0);
     /* that of toy, the one that hung, and what the others share */
     assert_int_equal(log_says(&p, "info serve reloaded"), 3);
