@@ -122,8 +122,8 @@ static void ceilings_figure(const struct ceilings *c, const char *looking)
                "total=%.3f limit=1.01 densifications=%zu",
                looking, c->inside, c->outside, c->total, c->lines);
     assert_true(c->lines > 0 && c->grown > 0);
-    /* Ceilings limit what is added. Some drift over the border until the next densification, and the
-     * inside may be filled up again (many_candidates_outside_take_no_room_inside). */
+    /* Ceilings limit what is added. Some drift over the border until the next densification, and
+     * the inside may be filled up again (many_candidates_outside_take_no_room_inside). */
     assert_true(c->inside <= 1.0 && c->outside <= 1.05 && c->total <= 1.01);
 }
 
