@@ -4,7 +4,11 @@
  * vector from the antenna to the camera (already added), latitude, longitude, ellipsoidal height,
  * their standard deviations, kind of solution (user manuals of Zenmuse P1 and Matrice 4: "after
  * compensation"). RTKLIB's .pos has a line for each moment, with times in GPS or UTC. A file of
- * camera events has one line for each photograph, without names.
+ * camera events has one line for each photograph, without names. Tables of other programs name
+ * photographs, and say by their headings what a column is.
+ *
+ * It is one long file, because rows of all kinds end in one list and pass the same checks of
+ * coordinates, heights and accuracies.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
