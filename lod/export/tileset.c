@@ -111,18 +111,37 @@ static void tileset_box(const struct tileset *t, uint32_t node)
     buf_printf(t->out, "]}");
 }
 
-/* Where nearly all of the tile is, in its frame: the viewer measures distance to it, as pick.c. */
-static void tileset_core(const struct tileset *t, uint32_t node)
+/* A box around `center`: least, then greatest. */
+static void tileset_corners(struct buf *out, const char *name, const double min[3],
+                            const double max[3], const double center[3])
 {
+    buf_printf(out, "\"%s\":[", name);
+    for (size_t k = 0; k < 3; k++)
+        buf_printf(out, "%s%.3f", k ? "," : "", min[k] - center[k]);
+    for (size_t k = 0; k < 3; k++)
+        buf_printf(out, ",%.3f", max[k] - center[k]);
+    buf_printf(out, "]");
+}
+
+/* Where nearly all of the tile is, in its frame: the viewer measures distance to it, as pick.c. At
+ * the root also where most of the scene is. */
+static void tileset_extras(const struct tileset *t, uint32_t node, const double center[3])
+{
+    const struct tree_node v = tree_node(t->tree, node);
     const struct tree_bounds b = tree_bounds(t->tree, node);
-    double center[3];
-    tileset_center(t, node, center);
-    buf_printf(t->out, ",\"extras\":{\"core\":[");
-    for (size_t k = 0; k < 3; k++)
-        buf_printf(t->out, "%s%.3f", k ? "," : "", b.core_min_enu_m[k] - center[k]);
-    for (size_t k = 0; k < 3; k++)
-        buf_printf(t->out, ",%.3f", b.core_max_enu_m[k] - center[k]);
-    buf_printf(t->out, "]}");
+    const bool core = v.tile != TREE_NONE && v.child_count > 0, root = node == t->tree->root;
+    double min[3], max[3];
+    if (!core && !root)
+        return;
+    buf_printf(t->out, ",\"extras\":{");
+    if (core)
+        tileset_corners(t->out, "core", b.core_min_enu_m, b.core_max_enu_m, center);
+    tree_extent(t->tree, min, max);
+    if (core && root)
+        buf_printf(t->out, ",");
+    if (root)
+        tileset_corners(t->out, "extent", min, max, center);
+    buf_printf(t->out, "}");
 }
 
 static void tileset_content(const struct tileset *t, const char *template, struct key k)
@@ -161,8 +180,7 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double *
                two ? STORE_PX_PER_SIGMA * pixel_m : v.geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
-    if (v.tile != TREE_NONE && v.child_count > 0)
-        tileset_core(t, index);
+    tileset_extras(t, index, center);
     if (shown)
         tileset_content(t,
                         elsewhere       ? t->links->part

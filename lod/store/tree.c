@@ -240,6 +240,19 @@ struct tree_bounds tree_bounds(const struct tree *t, uint32_t node)
     return b;
 }
 
+void tree_extent(const struct tree *t, double min_enu_m[3], double max_enu_m[3])
+{
+    const double less = (0.96 - 0.9) / (2 * 0.96); /* a core is from 2 to 98 % */
+    struct tree_bounds b = {0};
+    if (t->root != TREE_NONE)
+        b = t->root < t->n_tiles ? tree_bounds_alone(t, t->root) : tree_bounds(t, t->root);
+    for (int a = 0; a < 3; a++) {
+        const double cut = less * (b.core_max_enu_m[a] - b.core_min_enu_m[a]);
+        min_enu_m[a] = b.core_min_enu_m[a] + cut;
+        max_enu_m[a] = b.core_max_enu_m[a] - cut;
+    }
+}
+
 /* Are the node's bounds cheap to unite: has it few children, none of which has any? */
 static bool tree_is_low(const struct tree *t, const struct tree_inner *in)
 {

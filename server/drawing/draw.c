@@ -156,32 +156,6 @@ static void draw_note(const struct view_stats *st, double from_s)
     worker_span(DRAW_DRAWS, draw_s, draw_s + 1e-3 * st->ms_render);
 }
 
-/* Where nearly all of a store's Gaussians are, as the viewer has it of the coarsest tile: from 5 to
- * 95 % of the means along each axis. A core is from 2 to 98 %. */
-static void draw_extent(const struct store *store, double min[3], double max[3])
-{
-    const double less = (0.96 - 0.9) / (2 * 0.96);
-    const struct tree *tree = store_tree(store);
-    const uint32_t root = tree->root;
-    struct tree_bounds b = {0};
-    size_t n;
-    if (root != TREE_NONE)
-        b = tree_bounds(tree, root);
-    if (root != TREE_NONE && tree_node(tree, root).tile != TREE_NONE) {
-        const struct store_shape one =
-            store_shape(store, store_tiles(store, &n) + tree_node(tree, root).tile);
-        if (one.core_max_enu_m[0] > one.core_min_enu_m[0]) { /* else it is not known */
-            memcpy(b.core_min_enu_m, one.core_min_enu_m, sizeof b.core_min_enu_m);
-            memcpy(b.core_max_enu_m, one.core_max_enu_m, sizeof b.core_max_enu_m);
-        }
-    }
-    for (int a = 0; a < 3; a++) {
-        const double cut = less * (b.core_max_enu_m[a] - b.core_min_enu_m[a]);
-        min[a] = b.core_min_enu_m[a] + cut;
-        max[a] = b.core_max_enu_m[a] - cut;
-    }
-}
-
 /* What is behind the city in the light of the request: once for each light, by a small picture from
  * above. */
 static enum err_code draw_sky(struct draw *d, const struct draw_request *q, struct draw_slot *s,
@@ -192,7 +166,7 @@ static enum err_code draw_sky(struct draw *d, const struct draw_request *q, stru
         return ERR_OK;
     double min[3], max[3];
     s->has_sky = false;
-    draw_extent(view_store(s->view), min, max);
+    tree_extent(store_tree(view_store(s->view)), min, max);
     const struct camera cam = backdrop_camera(min, max);
     const struct render_options ro = {.aa = q->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                       .sh_degree = -1};

@@ -154,6 +154,24 @@ static void walk_part(struct walk *w, struct key k, const json_t *node, const do
     json_decref(j);
 }
 
+/* The root says where most of the scene is: sky and ground are drawn for it, by the viewer and by
+ * the server. */
+static void walk_extent(const struct walk *w, const json_t *root)
+{
+    const struct tree *tree = store_tree(w->s);
+    struct store_shape x = {0};
+    double got[6], min[3], max[3];
+    size_t n;
+    if (tree->root < tree->n_tiles)
+        x = store_shape(w->s, store_tiles(w->s, &n) + tree->root);
+    nums(json_object_get(json_object_get(root, "extras"), "extent"), 6, got);
+    tree_extent(tree, min, max);
+    for (size_t k = 0; k < 3; k++) {
+        assert_true(fabs(got[k] + x.center_enu_m[k] - min[k]) < 1e-3);
+        assert_true(fabs(got[3 + k] + x.center_enu_m[k] - max[k]) < 1e-3);
+    }
+}
+
 /* Tiles that may be replaced say where nearly all of them is: the viewer chooses by it. */
 static void walk_core(const struct walk *w, const struct store_tile *t, const json_t *node)
 {
@@ -254,6 +272,7 @@ static struct walk walk_store(const struct store *s)
     size_t n;
     json_t *j = document_of(s, NULL);
     walk(&w, json_object_get(j, "root"), none, HUGE_VAL, ENTRY, false);
+    walk_extent(&w, json_object_get(j, "root"));
     w.most = w.n_nodes > w.most ? w.n_nodes : w.most;
     store_tiles(s, &n);
     assert_int_equal(w.n_tiles, n); /* every tile once */

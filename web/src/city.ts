@@ -101,7 +101,7 @@ export class City {
   private active: CityTiles | null = null;
   private next: CityTiles | null = null; // takes the place of the active one when it is complete
   private target = 16;
-  private core = new Extent();
+  private core: Extent | null = null;
   private wakeTimer = 0;
   private lost = false;
   private closed = false;
@@ -212,7 +212,7 @@ export class City {
     } else {
       this.retire(this.active);
       this.active = tiles;
-      this.core = new Extent();
+      this.core = new Extent(info, frame);
       this.ground?.forget();
     }
     this.fresh = false;
@@ -229,7 +229,7 @@ export class City {
   private measure(tile: CityTile, { splats }: Block) {
     this.onWake(false);
     if (tile.internal.depthFromRenderedParent > 1) return;
-    this.onCore(this.core.add(splats.core));
+    if (this.core) this.onCore(this.core.add(splats.core));
   }
 
   resize(width: number, height: number, ratio: number) {

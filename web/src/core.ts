@@ -40,7 +40,7 @@ export async function decodeOnce(link: Link, info: SceneInfo, frame: Frame): Pro
   try {
     const file = await link.bytes(new URL(first.uri, info.url), stop.signal);
     const { core } = await pool.decode(file, offset, stop.signal);
-    return new Extent().add(core);
+    return new Extent(info, frame).add(core);
   } finally {
     pool.dispose();
   }

@@ -11,15 +11,28 @@ export function cornersOf({ min, max }: Box3): Vector3[] {
   return Array.from({ length: 8 }, (_, i) => new Vector3(i & 1 ? max.x : min.x, i & 2 ? max.y : min.y, i & 4 ? max.z : min.z));
 }
 
-// As the documents of a scene have it, before any tile.
-export function extentOf(info: SceneInfo, frame: Frame): Box3 {
+function boxOf(info: SceneInfo, frame: Frame, center: Vector3, half: Vector3): Box3 {
   const box = new Box3();
   const toWorld = frame.worldFromEcef.clone().multiply(info.transform);
   for (let i = 0; i < 8; i++) {
-    const corner = new Vector3(i & 1 ? 1 : -1, i & 2 ? 1 : -1, i & 4 ? 1 : -1).multiply(info.half);
-    box.expandByPoint(corner.add(info.center).applyMatrix4(toWorld));
+    const corner = new Vector3(i & 1 ? 1 : -1, i & 2 ? 1 : -1, i & 4 ? 1 : -1).multiply(half);
+    box.expandByPoint(corner.add(center).applyMatrix4(toWorld));
   }
   return box;
+}
+
+// Where most Gaussians are by the documents of a scene; null where they do not tell. The server's pictures have their sky
+// and ground by the same box.
+function toldOf(info: SceneInfo, frame: Frame): Box3 | null {
+  if (!info.most) return null;
+  const [low, high] = [new Vector3().fromArray(info.most), new Vector3().fromArray(info.most, 3)];
+  const half = high.clone().sub(low).multiplyScalar(0.5);
+  return boxOf(info, frame, low.add(half), half);
+}
+
+// As the documents of a scene have it, before any tile.
+export function extentOf(info: SceneInfo, frame: Frame): Box3 {
+  return toldOf(info, frame) ?? boxOf(info, frame, info.center, info.half);
 }
 
 // Of the coarsest tiles, which hold all of a scene.
@@ -27,9 +40,17 @@ export class Extent {
   readonly box = new Box3();
   readonly corners: Vector3[] = []; // of outlines, below and above
 
+  private readonly told: boolean; // by the documents; else it grows with the tiles
+
+  constructor(info: SceneInfo, frame: Frame) {
+    const told = toldOf(info, frame);
+    this.told = told !== null;
+    if (told) this.box.copy(told);
+  }
+
   add({ min, max, outline }: { min: number[]; max: number[]; outline: Outline }): this {
     const [low, high] = [new Vector3(...min), new Vector3(...max)];
-    this.box.union(new Box3(low, high));
+    if (!this.told) this.box.union(new Box3(low, high));
     for (let i = 0; i < 8; i += 2)
       for (const y of [low.y, high.y]) this.corners.push(new Vector3(outline[i], y, outline[i + 1]));
     return this;

@@ -11,16 +11,16 @@ export interface CoredTile {
   engineData: { transformInverse: Matrix4 };
 }
 
-function coreOf({ extras }: CoredTile): number[] | null {
-  const core = extras?.core;
-  if (!Array.isArray(core) || core.length !== 6 || !core.every(Number.isFinite)) return null;
-  return [0, 1, 2].every((k) => core[k] <= core[k + 3]) ? (core as number[]) : null;
+// A box of a tileset's extras: its least corner, then its greatest. Null where it is none.
+export function boxIn(told: unknown): number[] | null {
+  if (!Array.isArray(told) || told.length !== 6 || !told.every(Number.isFinite)) return null;
+  return [0, 1, 2].every((k) => told[k] <= told[k + 3]) ? (told as number[]) : null;
 }
 
 // eye: in the frame that the tileset's root stands in. perPixel: metres of a pixel at a metre. Null where the tileset
 // does not tell.
 export function screenError(tile: CoredTile, eye: Vector3, perPixel: number): number | null {
-  const core = coreOf(tile);
+  const core = boxIn(tile.extras?.core);
   if (!core) return null;
   const at = eye.clone().applyMatrix4(tile.engineData.transformInverse).toArray();
   const beside = at.map((v, k) => Math.max(core[k]! - v, v - core[k + 3]!, 0));

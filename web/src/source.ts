@@ -8,6 +8,7 @@ import { formatPose, type Place, type Pose } from "./geo";
 import { HttpError, isGone, type Link } from "./link";
 import { NAME_DEFAULT, Network, type Photograph } from "./network";
 import { Problem } from "./problem";
+import { boxIn } from "./screenerror";
 
 // A city of a server.
 export interface SceneEntry {
@@ -44,6 +45,7 @@ export interface SceneInfo {
   transform: Matrix4; // east-north-up metres -> ECEF
   center: Vector3; // of the bounding box, ENU
   half: Vector3; // half its size along east, north, up
+  most: number[] | null; // where most Gaussians are, ENU: least corner, then greatest; null where the tileset does not tell
 }
 
 // A light that the city can have: that of a photograph.
@@ -88,7 +90,7 @@ interface Collection {
 }
 interface TilesetDocument {
   asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
-  root?: Node & { transform?: number[]; boundingVolume?: { box?: number[] } };
+  root?: Node & { transform?: number[]; boundingVolume?: { box?: number[] }; extras?: { extent?: unknown } };
 }
 interface Node {
   geometricError?: number;
@@ -289,6 +291,7 @@ function describe(
     transform: new Matrix4().fromArray(transform),
     center: new Vector3(box[0], box[1], box[2]),
     half: new Vector3(extent(0), extent(1), extent(2)),
+    most: boxIn(document.root?.extras?.extent),
   };
 }
 

@@ -163,8 +163,7 @@ export async function openLitCity({ many = null, serveWith = [] } = {}) {
         run([
             ...["train", at("scene"), "-o", at("trained")],
             ...options("-q --level-count 1 --iterations 200 --budget 3000"),
-            // The server guesses the viewer's extent from a wider one: right within 3 of 255 where few Gaussians lie far off.
-            ...options("--appearance --appearance-warmup 50 --solid-flat 0 --solid-spread 0.01"),
+            ...options("--appearance --appearance-warmup 50 --solid-flat 0"),
         ]);
         run(["tile", at("scene"), "--trained", at("trained"), "-o", at("lit.tiles"), "-q"]);
         const more = many ? [importCity(dir, 60, "many", many)] : [];
