@@ -283,11 +283,11 @@ export class City {
 
   // Ground around the city, in its light of now. Its script comes when the first tile is on the screen.
   private surround() {
-    const { active, backdrop, engine, ground } = this;
+    const { active, backdrop, core, engine, ground } = this;
     const blocks = active?.coarsest ?? [];
-    if (!backdrop.visible || !this.shows || !blocks.length) return;
+    if (!backdrop.visible || !this.shows || !blocks.length || !core) return;
     if (ground) {
-      ground.follow(blocks);
+      ground.follow(blocks, core.box);
       if (this.frame) ground.lay(this.basemap, this.frame);
       return;
     }

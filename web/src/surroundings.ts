@@ -3,7 +3,6 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
-  Box3,
   BufferAttribute,
   BufferGeometry,
   CanvasTexture,
@@ -20,6 +19,7 @@ import {
   Vector3,
   Vector4,
   WebGLRenderTarget,
+  type Box3,
   type WebGLRenderer,
 } from "three";
 
@@ -53,15 +53,6 @@ void main() {
   vec2 uv = vec2(at.x - square.x, square.y - at.z) * square.z + 0.5;
   result = vec4(hazed(based(texture(map, uv).rgb, at.xz), at.xz), 1.0);
 }`;
-
-function boxOf(blocks: readonly Block[]): Box3 {
-  const box = new Box3();
-  for (const { splats } of blocks) {
-    const { min, max } = splats.core;
-    box.union(new Box3(new Vector3(...min), new Vector3(...max)));
-  }
-  return box;
-}
 
 export class Surroundings {
   readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
@@ -119,11 +110,10 @@ export class Surroundings {
     return this.key === this.keyOf(blocks);
   }
 
-  // The coarsest tiles, which hold all of the scene.
-  follow(blocks: readonly Block[]) {
+  // The coarsest tiles, which hold all of the scene. box: where most Gaussians are.
+  follow(blocks: readonly Block[], box: Box3) {
     if (this.isOf(blocks)) return;
     this.key = this.keyOf(blocks);
-    const box = boxOf(blocks);
     const size = box.getSize(new Vector3());
     const middle = box.getCenter(new Vector3());
     const square = { x: middle.x, z: middle.z, half: (SPAN * Math.max(size.x, size.z, 1)) / 2 };
