@@ -20,7 +20,7 @@ const CLIENTS = [...PANES, "cesium"];
 const CHANGE_LEAST = 4; // of 255: the city of the tests has lights that differ
 const ALIKE_LEAST = 0.8; // cosine of two changes of colour
 const GROUND_APART = 3; // of 255
-const WHOLE_APART = 3; // of 255 in the mean, of a city with its edge
+const WHOLE_APART = 2; // of 255 in the mean, of a city with its edge
 const skip = { skip: MOCK || GIVEN_TILES ? "needs a city of several lights" : false };
 
 let source;
