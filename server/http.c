@@ -122,19 +122,10 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
 
 /* ---- listening ---- */
 
-/* Is --admin ADDR:PORT, which is well formed, the place of the first listener? */
-static bool http_is_first(const struct server_config *cfg)
-{
-    const char *colon = strrchr(cfg->admin, ':'), *host = cfg->admin + (cfg->admin[0] == '[');
-    const size_t n = strcspn(host, cfg->admin[0] == '[' ? "]" : ":"), first = strlen(cfg->address);
-    return cfg->port && atoi(colon + 1) == cfg->port && n == first &&
-           !memcmp(host, cfg->address, n);
-}
-
 static enum err_code http_check_admin(const struct server_config *cfg, struct err *e)
 {
     enum err_code rc = listen_check_at(cfg->admin, "--admin", e);
-    if (!rc && supervisor_socket(NULL) < 0 && http_is_first(cfg))
+    if (!rc && supervisor_socket(NULL) < 0 && listen_meet(cfg->admin, cfg->address, (int)cfg->port))
         rc = err_set(e, ERR_ARG,
                      "--admin %s: there the first listener is (--address, --port): choose another "
                      "port",

@@ -127,6 +127,42 @@ enum err_code listen_check_at(const char *text, const char *option, struct err *
     return rc;
 }
 
+/* An IPv4 address becomes ::ffff:a.b.c.d. */
+static bool listen_as_in6(const char *address, struct sockaddr_in6 *out)
+{
+    struct addrinfo *a = NULL;
+    const struct addrinfo hints = {.ai_flags = AI_NUMERICHOST | AI_V4MAPPED,
+                                   .ai_family = AF_INET6,
+                                   .ai_socktype = SOCK_STREAM};
+    const bool ok = !getaddrinfo(address, NULL, &hints, &a);
+    if (ok) {
+        memcpy(out, a->ai_addr, sizeof *out);
+        freeaddrinfo(a);
+    }
+    return ok;
+}
+
+/* Does `a` stand for all addresses of a kind to which `b` belongs? :: takes those of IPv4, too. */
+static bool listen_is_all(const struct in6_addr *a, const struct in6_addr *b)
+{
+    static const struct in6_addr all_v4 = {.s6_addr = {[10] = 0xff, [11] = 0xff}};
+    return IN6_IS_ADDR_UNSPECIFIED(a) ||
+           (!memcmp(a, &all_v4, sizeof *a) && IN6_IS_ADDR_V4MAPPED(b));
+}
+
+bool listen_meet(const char *text, const char *address, int port)
+{
+    char host[LISTEN_ADDRESS_MAX];
+    struct sockaddr_in6 a, b;
+    int other = 0;
+    if (listen_read_at(text, "", host, &other, NULL) || !port || other != port ||
+        !listen_as_in6(host, &a) || !listen_as_in6(address, &b))
+        return false;
+    return listen_is_all(&a.sin6_addr, &b.sin6_addr) || listen_is_all(&b.sin6_addr, &a.sin6_addr) ||
+           (!memcmp(&a.sin6_addr, &b.sin6_addr, sizeof a.sin6_addr) &&
+            a.sin6_scope_id == b.sin6_scope_id);
+}
+
 enum err_code listen_open_at(const char *text, const char *option, int *fd, uint16_t *taken,
                              struct err *e)
 {
