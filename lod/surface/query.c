@@ -156,6 +156,14 @@ static const char *const query_keys[][8] = {
     [QUERY_VISIBLE] = {"from", "to", "gsd_m"},
 };
 
+bool query_takes(enum query_kind kind, const char *name, size_t n)
+{
+    for (const char *const *key = query_keys[kind]; *key; key++)
+        if (strlen(*key) == n && !memcmp(*key, name, n))
+            return true;
+    return false;
+}
+
 enum err_code query_read(enum query_kind kind, const json_t *o, const struct geo_origin *origin,
                          struct query *out, struct err *e)
 {

@@ -35,6 +35,8 @@ struct query { /* {0}, then query_read; it has no pointers, so its bytes can be 
  * invalid; the message says what is allowed. */
 enum err_code query_read(enum query_kind kind, const struct json_t *o,
                          const struct geo_origin *origin, struct query *out, struct err *e) ERR_USE;
+/* Is name [n] a key of such a question? */
+bool query_takes(enum query_kind kind, const char *name, size_t n);
 /* Answers a question. Release *out with json_decref. With `geoid` (may be NULL) the answer also has
  * heights above sea level. ERR_DATA: the line or polygon is invalid. ERR_ARG, ERR_CANCEL,
  * ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in measure.h and probe.h. */

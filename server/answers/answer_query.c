@@ -12,13 +12,36 @@
 #include "server/answers/answer_view.h"
 #include "server/drawing/picture_id.h"
 
+/* A key of a posted question would have no effect in the address. ERR_FORMAT. */
+static enum err_code answer_query_check_address(const struct request *r, const struct target *t,
+                                                enum query_kind kind, struct err *e)
+{
+    const char *p = r->target + t->path_size, *end = r->target + r->target_size;
+    while (p < end) {
+        const char *key = ++p;
+        while (p < end && *p != '=' && *p != '&')
+            p++;
+        const size_t n = (size_t)(p - key);
+        const bool place =
+            kind == QUERY_HEIGHT && n == 3 && (!memcmp(key, "lon", n) || !memcmp(key, "lat", n));
+        if (place || query_takes(kind, key, n))
+            return err_set(e, ERR_FORMAT,
+                           "%.*s stands in the address: a posted question has it in the body%s",
+                           (int)n, key, place ? ", as {\"places\": [[lon, lat]]}" : "");
+        while (p < end && *p != '&')
+            p++;
+    }
+    return ERR_OK;
+}
+
 /* ERR_FORMAT: no JSON (400). ERR_DATA: impossible numbers (422). */
-static enum err_code answer_query_read(const struct request *r, const struct dataset *d,
-                                       enum query_kind kind, struct query *out, struct err *e)
+static enum err_code answer_query_read(const struct request *r, const struct target *t,
+                                       const struct dataset *d, enum query_kind kind,
+                                       struct query *out, struct err *e)
 {
     json_t *o = NULL;
-    enum err_code rc = ERR_OK;
-    if (!r->body_size)
+    enum err_code rc = answer_query_check_address(r, t, kind, e);
+    if (!rc && !r->body_size)
         rc = err_set(e, ERR_FORMAT, "the body must be a JSON object");
     if (!rc)
         rc = jsonc_parse(r->body, r->body_size, "body", &o, e);
@@ -78,19 +101,18 @@ static const struct work_kind answer_query_work = {.noun = "answer",
 
 /* ---- the answers ---- */
 
-/* place: for a GET. */
 static void answer_query(struct services *s, const struct request *r, struct dataset *d,
-                         const struct target_place *place, enum query_kind kind,
-                         struct response *out)
+                         const struct target *t, enum query_kind kind, struct response *out)
 {
     struct err e = {0};
     char device[160];
     if (!answer_map_is_surveyed(d, out))
         return;
     struct query *q = mem_array(1, sizeof *q);
-    enum err_code rc = !q                         ? err_set(&e, ERR_MEM, "out of memory")
-                       : r->method == METHOD_POST ? answer_query_read(r, d, kind, q, &e)
-                                                  : answer_query_read_place(place, d, q, &e);
+    enum err_code rc = !q ? err_set(&e, ERR_MEM, "out of memory")
+                       : r->method == METHOD_POST
+                           ? answer_query_read(r, t, d, kind, q, &e)
+                           : answer_query_read_place(&target_of_height(t)->place, d, q, &e);
     if (rc) {
         response_refused(out, rc, e.msg);
     } else if (answer_view_can_draw(s, out)) {
@@ -106,19 +128,13 @@ static void answer_query(struct services *s, const struct request *r, struct dat
     mem_free(q);
 }
 
-void answer_query_height(struct services *s, const struct request *r, struct dataset *d,
-                         const struct target *t, struct response *out)
-{
-    answer_query(s, r, d, &target_of_height(t)->place, QUERY_HEIGHT, out);
-}
-
 #define ANSWER_QUERY(name, kind)                                                                   \
     void answer_query_##name(struct services *s, const struct request *r, struct dataset *d,       \
                              const struct target *t, struct response *out)                         \
     {                                                                                              \
-        (void)t;                                                                                   \
-        answer_query(s, r, d, NULL, kind, out);                                                    \
+        answer_query(s, r, d, t, kind, out);                                                       \
     }
+ANSWER_QUERY(height, QUERY_HEIGHT)
 ANSWER_QUERY(pick, QUERY_PICK)
 ANSWER_QUERY(profile, QUERY_PROFILE)
 ANSWER_QUERY(measure, QUERY_MEASURE)

@@ -691,6 +691,12 @@ static void questions_are_answered(void **state)
          "{\"pose\": {\"lon\": 8.6821, \"lat\": 50.1109, \"height\": 260, \"heading\": 0, "
          "\"pitch\": -90}, \"width\": 200, \"height\": 100, \"x\": 100, \"y\": 50}",
          "\"found\":true", 200},
+        {"height?v=1", "{\"places\": [[8.6821, 50.1109]]}", "\"height_m\"", 200},
+        {"height?v=1&gsd_m=5", "{\"places\": [[8.6821, 50.1109]]}", "gsd_m stands in the address",
+         400},
+        {"height?lon=8&lat=50", "{\"places\": [[8.6821, 50.1109]]}", "as {\\\"places", 400},
+        {"profile?step_m=1", "{\"line\": [[8.6820, 50.1109], [8.6822, 50.1109]]}", "step_m stands",
+         400},
         {"height", "{\"places\": [[8, 91]]}", "place 1 must be", 422},
         {"height", "{\"places\": []}", "1 to 256 places", 422},
         {"height", "{", "body", 400},
