@@ -112,7 +112,13 @@ static enum MHD_Result mhd_callbacks_send_answer(struct exchange *x)
 
 static enum MHD_Result mhd_callbacks_refuse(struct exchange *x, int status, const char *why)
 {
-    response_problem(&x->res, status, why);
+    const struct server_config *cfg = x->f->s->cfg;
+    const int64_t limit = status == 413   ? cfg->max_body_kb << 10
+                          : status == 414 ? cfg->max_target_bytes
+                                          : 0;
+    char text[160];
+    snprintf(text, sizeof text, limit ? "%s: at most %lld bytes" : "%s", why, (long long)limit);
+    response_problem(&x->res, status, text);
     x->close = true;
     atomic_fetch_add(&x->f->s->metrics.rejected, status != 503 && !x->f->self);
     if (status == 503)

@@ -174,8 +174,10 @@ int request_guard_check(const struct request_guard *f, const struct server_confi
         return *why = "the request has too many header fields", 431;
     if (!r->target || r->target_size > (size_t)cfg->max_target_bytes)
         return *why = "the request target is too long", 414;
-    if (f->bad || f->n_length + f->n_coding > 1 || f->n_host > 1 || (!old && f->n_host != 1) ||
-        (old && f->n_coding) || r->target[0] != '/')
+    if (!old && !f->n_host && !f->bad)
+        return *why = "a request of HTTP/1.1 needs the header field Host", 400;
+    if (f->bad || f->n_length + f->n_coding > 1 || f->n_host > 1 || (old && f->n_coding) ||
+        r->target[0] != '/')
         return 400;
     if (r->method == METHOD_UNKNOWN)
         return *why = "this server does not know the method", 501;

@@ -67,6 +67,37 @@ static void test_malformed_requests(void **state)
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
 }
 
+/* What is missing, and limits in bytes. */
+static void test_reasons_of_refusals(void **state)
+{
+    static const struct {
+        const char *head, *says;
+        int filler;
+    } rows[] = {
+        {"GET /healthz HTTP/1.1\r\n\r\n", "needs the header field Host", 0},
+        {POST "Content-Length: 65537\r\n\r\n", "the body is too large: at most 65536 bytes", 0},
+        {"", "target is too long: at most 2048 bytes", 3000},
+        {"", "target is too long: at most 2048 bytes", 30000},
+    };
+    struct reply r;
+    start();
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct buf b = {0};
+        int fd = dial(t.port);
+        if (rows[i].filler)
+            buf_printf(&b, "GET /%0*d HTTP/1.1\r\n" H "\r\n", rows[i].filler, 0);
+        else
+            buf_printf(&b, "%s", rows[i].head);
+        say_bytes(fd, (const char *)b.data, b.size);
+        hear(fd, true, NULL, &r);
+        if (!strstr((const char *)r.body, rows[i].says))
+            fail_msg("row %zu: want %s: %s", i, rows[i].says, (const char *)r.body);
+        buf_free(&r.raw);
+        buf_free(&b);
+        close(fd);
+    }
+}
+
 static void test_unusual_requests(void **state)
 {
     const bool strict = http_is_strict();
@@ -327,11 +358,17 @@ static void test_control_bytes(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_control_bytes), HTTP_TEST(test_malformed_requests),
-        HTTP_TEST(test_unusual_requests),     HTTP_TEST(test_expect),
-        HTTP_TEST(test_cut_and_pipelined),    HTTP_TEST(test_many_keys),
-        HTTP_TEST(test_oversized_requests),   HTTP_TEST(test_any_bytes),
-        HTTP_TEST(test_slow_clients_are_cut), HTTP_TEST(test_a_client_that_does_not_read),
+        cmocka_unit_test(test_control_bytes),
+        HTTP_TEST(test_malformed_requests),
+        HTTP_TEST(test_reasons_of_refusals),
+        HTTP_TEST(test_unusual_requests),
+        HTTP_TEST(test_expect),
+        HTTP_TEST(test_cut_and_pipelined),
+        HTTP_TEST(test_many_keys),
+        HTTP_TEST(test_oversized_requests),
+        HTTP_TEST(test_any_bytes),
+        HTTP_TEST(test_slow_clients_are_cut),
+        HTTP_TEST(test_a_client_that_does_not_read),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }
