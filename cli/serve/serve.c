@@ -102,6 +102,19 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
     return ERR_OK;
 }
 
+/* A server that is started again has the same options: it must not replace what a former one found.
+ */
+static enum err_code serve_trace_begin(const char *path, struct err *e)
+{
+    enum err_code rc = output_check(path, true, e);
+    if (!rc && file_exists(path))
+        rc = err_set(e, ERR_ARG,
+                     "--trace %s: exists, and serve replaces no trace: remove it, or name another "
+                     "file",
+                     path);
+    return rc ? rc : trace_begin(path, e);
+}
+
 /* The trace is written whatever ended the server. */
 static void serve_trace_end(const char *path)
 {
@@ -136,9 +149,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
     signals_catch();
     if (cfg.trace)
-        rc = output_check(cfg.trace, false, e);
-    if (!rc && cfg.trace)
-        rc = trace_begin(cfg.trace, e);
+        rc = serve_trace_begin(cfg.trace, e);
     if (!rc)
         rc = server_start(&cfg, args.arg, args.n, &sv, e);
     if (rc)

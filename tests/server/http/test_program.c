@@ -59,34 +59,6 @@ static void test_lines_of_the_log(void **state)
     assert_int_equal(program_end(&p, SIGTERM), 0);
 }
 
-/* A trace that was asked for is there when the program has ended, and replaces no file. */
-static void test_trace_is_written(void **state)
-{
-    char path[FILE_PATH_MAX];
-    const char *args[] = {"--port", "0", "--trace", path, NULL};
-    struct program p = {0};
-    struct reply r;
-    struct err e = {0};
-    bool seen = false;
-    size_t i;
-    const json_t *ev;
-    kit_ok(file_join(path, t.dir, "trace.json", &e), e);
-    program_start(&p, NULL, args);
-    ask_port(p.port, "GET", "/d/toy/tileset.json", "", &r);
-    assert_int_equal(r.status, 200);
-    buf_free(&r.raw);
-    assert_false(file_exists(path));
-    assert_int_equal(program_end(&p, SIGTERM), 0);
-    json_t *o = json_load_file(path, 0, NULL);
-    assert_non_null(o);
-    json_array_foreach(json_object_get(o, "traceEvents"), i, ev) seen |=
-        !strcmp(json_string_value(json_object_get(ev, "name")), "/d/{ds}/tileset.json");
-    assert_true(seen);
-    json_decref(o);
-    program_start(&p, NULL, args);
-    assert_true(program_end(&p, 0) != 0);
-}
-
 static void test_supervisor(void **state)
 {
     static const char *const args[] = {"--port", "0", "--log-format", "json", NULL};
@@ -200,6 +172,37 @@ static int exit_code(const char *const *args, struct buf *said)
     kit_ok(file_read(p.log, 0, said, &e), e);
     buf_add(said, "", 1);
     return code;
+}
+
+/* A trace that was asked for is there when the program has ended, and replaces no file. */
+static void test_trace_is_written(void **state)
+{
+    char path[FILE_PATH_MAX];
+    const char *args[] = {"--port", "0", "--trace", path, NULL};
+    struct program p = {0};
+    struct reply r;
+    struct err e = {0};
+    bool seen = false;
+    size_t i;
+    const json_t *ev;
+    kit_ok(file_join(path, t.dir, "trace.json", &e), e);
+    program_start(&p, NULL, args);
+    ask_port(p.port, "GET", "/d/toy/tileset.json", "", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+    assert_false(file_exists(path));
+    assert_int_equal(program_end(&p, SIGTERM), 0);
+    json_t *o = json_load_file(path, 0, NULL);
+    assert_non_null(o);
+    json_array_foreach(json_object_get(o, "traceEvents"), i, ev) seen |=
+        !strcmp(json_string_value(json_object_get(ev, "name")), "/d/{ds}/tileset.json");
+    assert_true(seen);
+    json_decref(o);
+    struct buf said = {0};
+    assert_int_equal(exit_code(args, &said), EX_USAGE);
+    assert_non_null(strstr((char *)said.data, "serve replaces no trace: remove it"));
+    assert_null(strstr((char *)said.data, "--overwrite"));
+    buf_free(&said);
 }
 
 /* The log has '-' in the place of secrets [n], which it has none of. */
