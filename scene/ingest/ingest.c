@@ -143,8 +143,14 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
         char path[FILE_PATH_MAX];
         p->residual_m = (double)NAN;
         if (!ingest_name_is_safe(p->image->name))
-            return err_set(e, ERR_DATA, "images: '%.200s' leads out of the folder of photographs",
-                           p->image->name);
+            return err_set(e, ERR_DATA,
+                           "%s: image '%.200s' %s: names of images are relative to the folder of "
+                           "photographs: convert the model to text (colmap model_converter "
+                           "--output_type TXT), shorten the names in images.txt, and give that "
+                           "folder",
+                           g->model.dir, p->image->name,
+                           p->image->name[0] == '/' ? "has an absolute name"
+                                                    : "leads out of the folder of photographs");
         if (!ingest_is_utf8(p->image->name))
             return err_set(e, ERR_DATA,
                            "images: '%.200s', the %zu. by name, is not written in UTF-8, which the "

@@ -336,6 +336,16 @@ static void test_bad_input(void **state)
               "do not fix their poses (the best one sees 4");
     expect_nothing_left(other);
 
+    /* COLMAP run on a list of whole paths */
+    kit_ok(colmap_read(city, &m, &e), e);
+    m.images[6].name = arena_printf(&m.arena, "/home/me/IMG_0006.jpg");
+    join(photo, city, "few");
+    kit_ok(colmap_write_bin(photo, &m, &e), e);
+    colmap_free(&m);
+    kit_fails(ingest_run(images, photo, &ic, &e), ERR_DATA, e,
+              "image '/home/me/IMG_0006.jpg' has an absolute name");
+    kit_expect_text(e.msg, "images.txt", __FILE__, __LINE__);
+
     /* a name in Latin-1, before anything is converted */
     ingest_config(&ic, other, "latin-scene");
     join(photo, images,
