@@ -250,16 +250,16 @@ static enum err_code gcp_check_fields(const struct gcp_table *t, char *field[TAB
         n--;
     if (t->comma && n > t->wide)
         return err_set(e, ERR_FORMAT,
-                       "%s: line %zu: %zu fields, but the first line names %zu; are there decimal "
-                       "commas? Write numbers with a decimal point",
+                       "%s: line %zu: %zu fields, but the first line names %zu; " TABLE_DIVIDED,
                        t->path, t->line, n, t->wide);
     if (table_number(image, &number))
         return err_set(e, ERR_FORMAT,
-                       "%s: line %zu: the photograph is '%s', a number; are there decimal commas? "
-                       "Write numbers with a decimal point; expected is %s",
+                       "%s: line %zu: the photograph is '%s', a number; " TABLE_DIVIDED
+                       "; expected is %s",
                        t->path, t->line, image,
                        t->comma ? "what the first line names"
-                                : "x y z column row photograph [name]");
+                                : "x y z column row photograph [name], and a name with blanks only "
+                                  "where tabs divide");
     return ERR_OK;
 }
 
@@ -365,13 +365,27 @@ static bool gcp_is_photo(const char *name)
 static enum err_code gcp_check_blanks(const struct gcp_table *t, char *field[TABLE_FIELDS],
                                       size_t n, struct err *e)
 {
+    double number;
     for (size_t i = GCP_IMAGE + 1; !t->comma && i < n && !gcp_is_photo(field[GCP_IMAGE]); i++)
-        if (gcp_is_photo(field[i]))
+        if (gcp_is_photo(field[i]) && !table_number(field[GCP_IMAGE], &number))
             return err_set(e, ERR_FORMAT,
                            "%s: line %zu: the name of the photograph, '%s ... %s', has blanks: "
                            "divide the fields by tabs, or rename it",
                            t->path, t->line, field[GCP_IMAGE], field[i]);
     return ERR_OK;
+}
+
+static enum err_code gcp_no_number(const struct gcp_table *t, size_t i, const char *field,
+                                   struct err *e)
+{
+    if (table_is_grouped(field))
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: field %zu, '%.40s', has a thousands separator: write it "
+                       "without, as 5123456.78",
+                       t->path, t->line, i + 1, field);
+    return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu is no number; expected is %s", t->path,
+                   t->line, i + 1,
+                   t->comma ? "what the first line names" : "x y z column row photograph [name]");
 }
 
 /* No ground lies lower; -9999 and its like stand for unknown. */
@@ -392,10 +406,7 @@ static enum err_code gcp_row(struct table *lines, const struct gcp_table *t, cha
     for (size_t c = alone ? GCP_PX : GCP_X; c < (bare ? GCP_PX : GCP_IMAGE); c++) {
         size_t i = t->column[c];
         if (i >= n || !table_number(field[i], &v[c]))
-            return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu is no number; expected is %s",
-                           t->path, t->line, i + 1,
-                           t->comma ? "what the first line names"
-                                    : "x y z column row photograph [name]");
+            return gcp_no_number(t, i, i < n ? field[i] : "", e);
     }
     if (!alone && v[GCP_Z] < lowest_m)
         return err_set(e, ERR_FORMAT,

@@ -378,14 +378,31 @@ static enum err_code positions_numbers(const struct table *t, const struct posit
         if (there &&
             !(c <= COLUMN_Z ? positions_coordinate(h, (enum column)c, lonlat, field, wide, &v[c])
                             : positions_sigma(field[i], &v[c])))
-            return err_set(e, ERR_FORMAT,
-                           "%s: line %zu: field %zu, '%.40s', is no number: write %s", t->path,
-                           t->line, i + 1, field[i],
-                           strchr(field[i], ',') ? "it with a decimal point"
-                                                 : "metres, or decimal degrees that are negative "
-                                                   "in the south and west, without units");
+            return err_set(
+                e, ERR_FORMAT, "%s: line %zu: field %zu, '%.40s', is no number: write %s", t->path,
+                t->line, i + 1, field[i],
+                table_is_grouped(field[i]) ? "it without thousands separators, as 5123456.78"
+                : strchr(field[i], ',')    ? "it with a decimal point"
+                                           : "metres, or decimal degrees that are negative "
+                                             "in the south and west, without units");
     }
     return ERR_OK;
+}
+
+/* A line divided by blanks, of a list that names no columns: "634 676.5 5 123 456.78" would be an x
+ * of 634. Coordinates of maps are larger. */
+static enum err_code positions_check_grouped(const struct table *t, char *const field[TABLE_FIELDS],
+                                             size_t n, struct err *e)
+{
+    char both[80];
+    snprintf(both, sizeof both, "%.30s %.30s", field[COLUMN_X],
+             n > COLUMN_Z + 1 ? field[COLUMN_Y] : "");
+    return table_is_grouped(both)
+               ? err_set(e, ERR_FORMAT,
+                         "%s: line %zu: '%s' has a thousands separator: write it without, as "
+                         "5123456.78",
+                         t->path, t->line, both)
+               : ERR_OK;
 }
 
 static bool positions_is_off(const struct positions_head *h, char *const field[TABLE_FIELDS],
@@ -413,8 +430,7 @@ static enum err_code positions_csv_row(struct table *t, struct positions_head *h
         most--;
     if (most > h->wide)
         return err_set(e, ERR_FORMAT,
-                       "%s: line %zu: %zu fields, but the first line names %zu; are there decimal "
-                       "commas? Write numbers with a decimal point",
+                       "%s: line %zu: %zu fields, but the first line names %zu; " TABLE_DIVIDED,
                        t->path, t->line, most, h->wide);
     if (positions_nowhere(h, field, n)) {
         p->n_left_out++;
@@ -424,7 +440,11 @@ static enum err_code positions_csv_row(struct table *t, struct positions_head *h
         h->n_off++;
         return ERR_OK;
     }
-    const enum err_code rc = positions_numbers(t, h, p->epsg == POSITIONS_LONLAT, field, n, v, e);
+    enum err_code rc = ERR_OK;
+    if (!comma && h->wide == TABLE_FIELDS && p->epsg > 0 && p->epsg != POSITIONS_LONLAT)
+        rc = positions_check_grouped(t, field, n, e);
+    if (!rc)
+        rc = positions_numbers(t, h, p->epsg == POSITIONS_LONLAT, field, n, v, e);
     if (rc)
         return rc;
     const char *image = h->column[COLUMN_IMAGE] < n ? field[h->column[COLUMN_IMAGE]] : "";

@@ -213,6 +213,31 @@ bool table_number(const char *text, double *out)
     return number_list(text, 1, out) && fabs(*out) <= 1e12;
 }
 
+bool table_is_grouped(const char *field)
+{
+    /* ’ and the thin and the narrow blank at the end */
+    static const char digits[] = "0123456789", *const marks[] = {" ",
+                                                                 "'",
+                                                                 ",",
+                                                                 ".",
+                                                                 "\xe2\x80\x99",
+                                                                 "\xe2\x80\x89",
+                                                                 "\xe2\x80\xaf"};
+    const char *first = field + strspn(field, "+-");
+    const size_t head = strspn(first, digits);
+    for (size_t k = 0; head >= 1 && head <= 3 && k < sizeof marks / sizeof *marks; k++) {
+        const size_t n = strlen(marks[k]);
+        const char *from = first + head, *p = from;
+        while (!strncmp(p, marks[k], n) && strspn(p + n, digits) == 3)
+            p += n + 3;
+        const bool grouped = p > from;
+        p += *p == '.' || *p == ',';
+        if (grouped && !p[strspn(p, digits)])
+            return true;
+    }
+    return false;
+}
+
 size_t table_decimal_comma(const char *line, const char **at)
 {
     for (const char *p = strchr(line, ','); p; p = strchr(p + 1, ',')) {

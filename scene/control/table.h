@@ -44,6 +44,11 @@ void table_heading(const char *field, char out[TABLE_HEADING]);
 /* Parses a finite number of at most 1e12 and nothing else. Returns false if the text is no such
  * number. */
 bool table_number(const char *text, double *out);
+/* Is a field that is no number one with thousands separators: "5 123 456.78", "5,123", "5'123"? */
+bool table_is_grouped(const char *field);
+/* The end of a message about a line in which numbers do not stand where they should. */
+#define TABLE_DIVIDED                                                                              \
+    "are there decimal commas or thousands separators? Write numbers as 5123456.78"
 /* Finds a decimal comma, as in "634676,12", in a line whose fields are not separated by commas.
  * Returns its length; 0: there is none. */
 size_t table_decimal_comma(const char *line, const char **at);

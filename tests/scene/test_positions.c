@@ -537,6 +537,16 @@ static void nonsense_is_refused(void **state)
         {"c.csv", "image,lon,lat,z\na.jpg,7,5,47,5,300\n", "decimal commas"},
         {"d.csv", "image;lon;lat;z\na.jpg;7,5,1;47.5;300\n", "decimal point"},
         {"e.csv", "image,lon,lat,z\n", "no positions"},
+        {"k.txt", "EPSG:25832\na.jpg 634 676.5 5 123 456.78 300\n",
+         "line 2: '634 676.5' has a thousands separator: write it without"},
+        {"l.csv", "image,x,y,z\na.jpg,634676.5,5 123 456.78,300\n",
+         "'5 123 456.78', is no number: write it without thousands separators"},
+        {"m.csv",
+         "image;x;y;z\na.jpg;634676.5;5\xe2\x80\x99"
+         "123\xe2\x80\x99"
+         "456.7;300\n",
+         "without thousands separators"},
+        {"n.csv", "image,x,y,z\na.jpg,634,676.5,5,123,456.7,300\n", "thousands separators? Write"},
         {"f.pos", "% x-ecef(m)\n2024/06/01 10:00:00 1 2 3 1 1 1 1 1\n", "out-solformat llh"},
         {"g.pos", "2024/06/01 10:00:00 47.5\n", "expected is time"},
         {"h.MRK", "1 2 [3] 1,N 1,E 1,V 95.0,Lat 7.0,Lon 300,Ellh 1,1,1 50,Q\n", "(DJI)"},
