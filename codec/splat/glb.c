@@ -39,7 +39,7 @@ enum {
     GLB_HEAD_BYTES = 12,
 };
 #define EXT_SPLAT GLB_SPLAT
-#define EXT_SPZ "KHR_gaussian_splatting_compression_spz_2"
+#define EXT_SPZ GLB_SPZ
 
 /* ---- writing ---- */
 
@@ -551,8 +551,12 @@ static enum err_code glb_decode_one(const struct glb *f, const struct codec_limi
     struct quant q = {0};
     const void *spz = NULL;
     size_t n_spz = 0;
-    if (!json_object_get(json_object_get(f->splat, "extensions"), EXT_SPZ))
-        return glb_decode_plain(f, lim, out, e);
+    json_t *inside = json_object_get(f->splat, "extensions");
+    if (!json_object_get(inside, EXT_SPZ)) {
+        const char *other = json_object_iter_key(json_object_iter(inside));
+        enum err_code rc = glb_decode_plain(f, lim, out, e);
+        return rc == ERR_FORMAT && other ? glb_other_extension(other, e) : rc;
+    }
     enum err_code rc = glb_seek_spz(f, &spz, &n_spz, e);
     if (!rc)
         rc = spz_decode(spz, n_spz, lim, &q, e);

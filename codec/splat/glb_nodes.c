@@ -7,6 +7,7 @@
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
+#include <string.h>
 
 #include "core/base.h"
 
@@ -150,6 +151,29 @@ static enum err_code glb_node_walk(const json_t *root, const json_t *index,
     return rc;
 }
 
+enum err_code glb_other_extension(const char *name, struct err *e)
+{
+    return err_set(
+        e, ERR_FORMAT,
+        "glb: its Gaussians are in %.80s, which is not read: export the file again with " GLB_SPZ
+        ", or as .spz or .ply",
+        name);
+}
+
+static enum err_code glb_no_places(const json_t *root, struct err *e)
+{
+    size_t i;
+    const json_t *used;
+    json_array_foreach(json_object_get(root, "extensionsUsed"), i, used)
+    {
+        const char *name = json_string_value(used);
+        if (name && strcmp(name, GLB_SPLAT) && strcmp(name, GLB_SPZ) &&
+            (strstr(name, "splat") || strstr(name, "spz")))
+            return glb_other_extension(name, e);
+    }
+    return err_set(e, ERR_FORMAT, "glb: 0 primitives with " GLB_SPLAT " in its scene");
+}
+
 /* All primitives with Gaussians of the scene; of a file without scenes, of all meshes. */
 enum err_code glb_places_find(const json_t *root, struct glb_places *out, struct err *e)
 {
@@ -170,7 +194,5 @@ enum err_code glb_places_find(const json_t *root, struct glb_places *out, struct
                   : err_set(e, ERR_MEM, "glb: out of memory");
         json_decref(node);
     }
-    if (!rc && !out->n)
-        rc = err_set(e, ERR_FORMAT, "glb: 0 primitives with " GLB_SPLAT " in its scene");
-    return rc;
+    return rc || out->n ? rc : glb_no_places(root, e);
 }

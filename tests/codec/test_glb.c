@@ -596,6 +596,48 @@ static void test_misplaced_nodes_are_named(void **state)
     gauss_free(&g);
 }
 
+/* A .glb of this JSON, without binary data. */
+static void of_json(const char *json, struct buf *out)
+{
+    const size_t n = (strlen(json) + 3) & ~(size_t)3;
+    out->size = 0;
+    buf_u32(out, 0x46546c67);
+    buf_u32(out, 2);
+    buf_u32(out, (uint32_t)(20 + n));
+    buf_u32(out, (uint32_t)n);
+    buf_u32(out, 0x4e4f534a);
+    buf_printf(out, "%-*s", (int)n, json);
+}
+
+/* Drafts of the extensions, which programs of 2025 wrote. */
+static void test_drafts_are_named(void **state)
+{
+    static const char *const drafts[][2] = {
+        {"KHR_spz_gaussian_splats_compression",
+         "{\"KHR_spz_gaussian_splats_compression\":{\"bufferView\":0}}"},
+        {EXT "_compression_spz",
+         "{\"" EXT "\":{\"extensions\":{\"" EXT "_compression_spz\":{\"bufferView\":0}}}}"},
+    };
+    struct buf b = {0};
+    for (size_t i = 0; i < sizeof drafts / sizeof *drafts; i++) {
+        struct err e = {0};
+        struct gauss g;
+        char json[800];
+        snprintf(json, sizeof json,
+                 "{\"asset\":{\"version\":\"2.0\"},\"extensionsUsed\":[\"%s\"],\"scene\":0,"
+                 "\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0}],\"buffers\":["
+                 "{\"byteLength\":4}],\"bufferViews\":[{\"buffer\":0,\"byteLength\":4}],"
+                 "\"accessors\":[{\"componentType\":5126,\"count\":1,\"type\":\"VEC3\"}],"
+                 "\"meshes\":[{\"primitives\":[{\"mode\":0,\"attributes\":{\"POSITION\":0},"
+                 "\"extensions\":%s}]}]}",
+                 drafts[i][0], drafts[i][1]);
+        of_json(json, &b);
+        kit_fails(glb_decode(b.data, b.size, NULL, &g, &e), ERR_FORMAT, e, drafts[i][0]);
+        kit_expect_text(e.msg, "compression_spz_2, or as .spz", __FILE__, __LINE__);
+    }
+    buf_free(&b);
+}
+
 /* Colours in linear light: 0.2 of it is 0.4845 of sRGB. */
 static void test_linear_colours_become_srgb(void **state)
 {
@@ -632,6 +674,7 @@ int main(void)
         cmocka_unit_test(test_reads_short_and_byte_accessors),
         cmocka_unit_test(test_nodes_are_applied),
         cmocka_unit_test(test_misplaced_nodes_are_named),
+        cmocka_unit_test(test_drafts_are_named),
         cmocka_unit_test(test_linear_colours_become_srgb),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_refuses_what_cannot_be_written),
