@@ -303,6 +303,7 @@ test("a height profile along a path: by the server, without it from what is draw
     const { features } = JSON.parse(readFileSync(await (await coming).path(), "utf8"));
     assert.equal(features[0].geometry.type, "MultiLineString");
     assert.ok(features[0].properties.fall_m > 25);
+    assert.equal(features[0].properties.heights, "ellipsoid");
     const pose = await page.evaluate(() => window.citysplat.pose());
     await page.focus("#profile-chart");
     await page.keyboard.press("Home");

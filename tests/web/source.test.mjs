@@ -110,3 +110,15 @@ test("tiles that another client needs filtered are taken as they are", async () 
     useUnfilteredTiles(document); // a tileset without them stays as it is
     assert.deepEqual(document, before);
 });
+
+test("what is saved says what its heights count from, as the scene does", async () => {
+    const measures = await importSource("measure.ts"), profiles = await importSource("profile.ts");
+    const at = (lat) => ({ lon: 7.5, lat, h: 300, distance: lat });
+    const way = [at(47.5), at(47.6)];
+    const values = { length: 1, straight: 1, rise: 0, area: 0 };
+    for (const text of [measures.toGeoJson(way, "path", values, "EPSG:7837"), profiles.toGeoJson(way, "EPSG:7837")]) {
+        const [{ geometry, properties }] = JSON.parse(text).features;
+        assert.equal(properties.heights, "EPSG:7837");
+        assert.equal(geometry.coordinates.flat(2)[2], 300);
+    }
+});

@@ -39,8 +39,8 @@ export function measure(points: Vector3[], kind: Kind): Measures {
   };
 }
 
-// RFC 7946: longitude, latitude, height as the scene counts it.
-export function toGeoJson(places: Place[], kind: Kind, values: Measures, volume: Volume | null = null): string {
+// RFC 7946: longitude, latitude, height as the scene counts it; `heights` says from what (SceneEntry.heights).
+export function toGeoJson(places: Place[], kind: Kind, values: Measures, heights?: string, volume: Volume | null = null): string {
   const at = places.map(({ lon, lat, h }) => [
     Number(lon.toFixed(8)),
     Number(lat.toFixed(8)),
@@ -56,7 +56,7 @@ export function toGeoJson(places: Place[], kind: Kind, values: Measures, volume:
     Object.entries(values).map(([key, value]) => [`${key}_m${key === "area" ? "2" : ""}`, Number((value as number).toFixed(3))]),
   );
   for (const [key, value] of Object.entries(volume ?? {})) rounded[`volume_${key}_m3`] = value as number;
-  const feature = { type: "Feature", geometry, properties: rounded };
+  const feature = { type: "Feature", geometry, properties: { heights, ...rounded } };
   return JSON.stringify({ type: "FeatureCollection", features: [feature] }, null, 1);
 }
 
@@ -220,6 +220,7 @@ export class MeasureTool {
 
   private save() {
     if (!this.places.length) return;
-    download("measure.geojson", "application/geo+json", toGeoJson(this.places, this.kind, this.values(), this.volume));
+    const saved = toGeoJson(this.places, this.kind, this.values(), this.viewer.scene?.heights, this.volume);
+    download("measure.geojson", "application/geo+json", saved);
   }
 }

@@ -73,8 +73,8 @@ export function toCsv(points: ProfilePoint[]): string {
   return ["distance_m,lon,lat,height_m", ...rows, ""].join("\r\n"); // RFC 4180
 }
 
-// One line a stretch that has a surface (RFC 7946).
-export function toGeoJson(points: ProfilePoint[]): string {
+// One line a stretch that has a surface (RFC 7946); `heights` says what heights count from (SceneEntry.heights).
+export function toGeoJson(points: ProfilePoint[], heights?: string): string {
   const lines: number[][][] = [];
   let line: number[][] = [];
   for (const { lon, lat, h } of [...points, { lon: 0, lat: 0, h: null }]) {
@@ -89,7 +89,7 @@ export function toGeoJson(points: ProfilePoint[]): string {
   const feature = {
     type: "Feature",
     geometry: { type: "MultiLineString", coordinates: lines },
-    properties: Object.fromEntries(values) as Record<string, number>,
+    properties: { heights, ...Object.fromEntries(values) } as Record<string, unknown>,
   };
   return JSON.stringify({ type: "FeatureCollection", features: [feature] }, null, 1);
 }
@@ -209,8 +209,8 @@ export class ProfileChart {
     this.mark(null);
   }
 
-  private save(ending: string, type: string, write: (points: ProfilePoint[]) => string) {
-    if (this.profile) download(`profile.${ending}`, type, write(this.profile.points));
+  private save(ending: string, type: string, write: (points: ProfilePoint[], heights?: string) => string) {
+    if (this.profile) download(`profile.${ending}`, type, write(this.profile.points, this.viewer.scene?.heights));
   }
 
   private draw(legs: number[]) {
