@@ -25,7 +25,7 @@ struct glb_places {
  * root. ERR_FORMAT (none; nodes that are no tree, or that stretch or mirror), ERR_LIMIT,
  * ERR_MEM. */
 enum err_code glb_places_find(const json_t *root, struct glb_places *out, struct err *e) ERR_USE;
-/* ERR_FORMAT, with what to do: the Gaussians are in an extension that is not read, as drafts are. */
+/* ERR_FORMAT, with what to do: the Gaussians are in an extension that is not read, as drafts. */
 enum err_code glb_other_extension(const char *name, struct err *e) ERR_USE;
 /* root.ARRAY[index]; NULL: there is none. */
 const json_t *glb_array_at(const json_t *root, const char *array, const json_t *index);
