@@ -5,6 +5,7 @@
 #include "codec/scene/mask.h"
 
 #include <math.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -40,14 +41,25 @@ static enum err_code mask_take(const char *path, struct image *from, uint8_t use
     return rc;
 }
 
+static atomic_flag mask_told = ATOMIC_FLAG_INIT; /* one such file: all of a folder are alike */
+
 /* The least value that means use. Where nothing is bright, values are numbers, as of a mask of 0
- * and 1: all but 0 mean use, as for COLMAP. */
-static uint8_t mask_use_from(const struct image *img)
+ * and 1: all but 0 mean use, as for COLMAP. Two greys without black are likely meant otherwise; a
+ * mask of 1 alone has nothing to ignore. */
+static uint8_t mask_use_from(const char *path, const struct image *img)
 {
-    for (size_t i = 0; i < (size_t)img->width_px * img->height_px; i++)
-        if (img->px[i * img->channels] >= MASK_USE)
-            return MASK_USE;
-    return 1;
+    uint8_t least = 255, most = 0;
+    for (size_t i = 0; i < (size_t)img->width_px * img->height_px; i++) {
+        const uint8_t v = img->px[i * img->channels];
+        least = v < least ? v : least;
+        most = v > most ? v : most;
+    }
+    if (least > 0 && most > 1 && most < MASK_USE && !atomic_flag_test_and_set(&mask_told))
+        log_warn("mask",
+                 "%s: has greys from %u to %u alone, so it masks nothing: write 0 (black) for what "
+                 "to ignore and 255 (white) for the rest; other masks are not checked",
+                 path, least, most);
+    return most < MASK_USE ? 1 : MASK_USE;
 }
 
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
@@ -56,7 +68,7 @@ enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px,
     struct image img = {0};
     *out = (struct image){0};
     enum err_code rc = image_read(path, NULL, &img, e);
-    return rc ? rc : mask_take(path, &img, mask_use_from(&img), width_px, height_px, out, e);
+    return rc ? rc : mask_take(path, &img, mask_use_from(path, &img), width_px, height_px, out, e);
 }
 
 bool mask_is_empty(const uint8_t *px, size_t n)

@@ -13,9 +13,11 @@
 #include "tests/kit.h"
 #include "train/model/init.h"
 
+#include <fcntl.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 static void mask_write(const char *path, uint32_t w, uint32_t h, uint32_t x0, uint32_t y0,
                        uint32_t edge)
@@ -88,6 +90,48 @@ static void dark_masks_have_numbers(void **state)
             assert_int_equal(out.px[i], i % 2 && most ? 255 : 0);
         image_free(&out);
     }
+    kit_rmdir(dir);
+}
+
+/* A mask of two greys, as of a palette for the eye, masks nothing: the first of them is reported. One
+ * of 1 alone belongs to masks of 0 and 1, and is white. */
+static void greys_without_black_are_told(void **state)
+{
+    enum { W = 8, H = 4 };
+    static const struct {
+        const char *name;
+        uint8_t grey[2];
+    } masks[] = {{"ones.png", {1, 1}}, {"greys.png", {38, 75}}, {"more.png", {38, 75}}};
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct buf said = {0};
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "log", &e), e);
+    const int was = dup(STDERR_FILENO), log = open(path, O_CREAT | O_WRONLY, 0600);
+    assert_true(was >= 0 && log >= 0 && dup2(log, STDERR_FILENO) >= 0);
+    for (size_t k = 0; k < sizeof masks / sizeof *masks; k++) {
+        struct image img = {0}, out = {0};
+        kit_ok(file_join(path, dir, masks[k].name, &e), e);
+        kit_ok(image_alloc(W, H, 1, &img, &e), e);
+        for (size_t i = 0; i < W * H; i++)
+            img.px[i] = masks[k].grey[i % 2];
+        kit_ok(image_write(path, &img, 0, NULL, &e), e);
+        kit_ok(mask_read(path, W, H, &out, &e), e);
+        assert_null(memchr(out.px, 0, W * H));
+        image_free(&img);
+        image_free(&out);
+    }
+    dup2(was, STDERR_FILENO);
+    close(was);
+    close(log);
+    kit_ok(file_join(path, dir, "log", &e), e);
+    kit_ok(file_read(path, 0, &said, &e), e);
+    buf_u8(&said, 0);
+    kit_expect_text((const char *)said.data, "greys.png: has greys from 38 to 75", __FILE__,
+                    __LINE__);
+    assert_null(strstr((const char *)said.data, "ones.png"));
+    assert_null(strstr((const char *)said.data, "more.png"));
+    buf_free(&said);
     kit_rmdir(dir);
 }
 
@@ -229,6 +273,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_pixel_is_ignored_when_any_below_it_is),
         cmocka_unit_test(dark_masks_have_numbers),
+        cmocka_unit_test(greys_without_black_are_told),
         cmocka_unit_test(cutouts_are_masks_by_their_alpha),
         cmocka_unit_test(undistortion_moves_masks_as_it_moves_pictures),
         cmocka_unit_test(points_on_masked_pixels_are_left_out),
