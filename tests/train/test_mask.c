@@ -93,8 +93,8 @@ static void dark_masks_have_numbers(void **state)
     kit_rmdir(dir);
 }
 
-/* A mask of two greys, as of a palette for the eye, masks nothing: the first of them is reported. One
- * of 1 alone belongs to masks of 0 and 1, and is white. */
+/* A mask of two greys, as of a palette for the eye, masks nothing: the first of them is reported.
+ * One of 1 alone belongs to masks of 0 and 1, and is white. */
 static void greys_without_black_are_told(void **state)
 {
     enum { W = 8, H = 4 };
