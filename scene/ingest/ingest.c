@@ -118,6 +118,26 @@ static bool ingest_is_utf8(const char *text)
     return o != NULL;
 }
 
+/* i: its rank by name. */
+static enum err_code ingest_check_name(const struct ingest *g, const char *name, size_t i,
+                                       struct err *e)
+{
+    if (!ingest_name_is_safe(name))
+        return err_set(e, ERR_DATA,
+                       "%s: image '%.200s' %s: names of images are relative to the folder of "
+                       "photographs: convert the model to text (colmap model_converter "
+                       "--output_type TXT), shorten the names in images.txt, and give that folder",
+                       g->model.dir, name,
+                       name[0] == '/' ? "has an absolute name"
+                                      : "leads out of the folder of photographs");
+    if (!ingest_is_utf8(name))
+        return err_set(e, ERR_DATA,
+                       "images: '%.200s', the %zu. by name, is not written in UTF-8, which the "
+                       "scene is: rename it",
+                       name, i + 1);
+    return ERR_OK;
+}
+
 static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
 {
     g->n = g->model.n_images;
@@ -142,25 +162,14 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
         struct ingest_photo *p = &g->photos[i];
         char path[FILE_PATH_MAX];
         p->residual_m = (double)NAN;
-        if (!ingest_name_is_safe(p->image->name))
-            return err_set(e, ERR_DATA,
-                           "%s: image '%.200s' %s: names of images are relative to the folder of "
-                           "photographs: convert the model to text (colmap model_converter "
-                           "--output_type TXT), shorten the names in images.txt, and give that "
-                           "folder",
-                           g->model.dir, p->image->name,
-                           p->image->name[0] == '/' ? "has an absolute name"
-                                                    : "leads out of the folder of photographs");
-        if (!ingest_is_utf8(p->image->name))
-            return err_set(e, ERR_DATA,
-                           "images: '%.200s', the %zu. by name, is not written in UTF-8, which the "
-                           "scene is: rename it",
-                           p->image->name, i + 1);
+        enum err_code rc = ingest_check_name(g, p->image->name, i, e);
+        if (rc)
+            return rc;
         p->out_name = ingest_out_name_make(g, p->image->name);
         if (!p->out_name)
             return ingest_no_memory(e);
         p->file = p->image->name;
-        enum err_code rc = file_join(path, g->images_dir, p->file, e);
+        rc = file_join(path, g->images_dir, p->file, e);
         if (rc)
             return rc;
         if (!file_exists(path) && !(p->file = ingest_files_find(&g->files, p->image->name))) {
