@@ -83,7 +83,8 @@ static void level_set_rates(struct level *l, uint32_t step)
     adam->lr_quat = (float)(LEVEL_LR_QUAT * s->lr_factor * shape);
     adam->lr_opacity = (float)(LEVEL_LR_OPACITY * shape);
     adam->lr_sh_dc = (float)(LEVEL_LR_SH_DC * fade);
-    adam->lr_sh_rest = (float)(LEVEL_LR_SH_REST * fade);
+    adam->lr_sh_rest =
+        (float)(LEVEL_LR_SH_REST * fade * schedule_sh_factor(l->cfg, s, l->gallery.n_images));
 }
 
 static void level_start_optimiser(struct level *l)

@@ -271,18 +271,20 @@ static void lists_have_one_value_or_one_a_level(void **state)
 }
 
 /* 60,000 steps have the published rates, a part of them kappa^-0.4 times those, five times at most;
- * positions end at the published last rate over kappa. */
+ * positions end at the published last rate over kappa. Harmonics go no farther than in 100 looks at
+ * each photograph. */
 static void short_runs_take_larger_steps(void **state)
 {
     const struct {
         int64_t steps;
         double factor;
         double last; /* of positions, in published ones */
-    } want[] = {{120000, 1, 1},
-                {60000, 1, 1},
-                {15000, 1.7411011, 4},
-                {6000, 2.5118864, 10},
-                {1000, 5, 55.901699}};
+        double sh;
+    } want[] = {{120000, 1, 1, 0.05},
+                {60000, 1, 1, 0.1},
+                {15000, 1.7411011, 4, 0.4},
+                {6000, 2.5118864, 10, 1},
+                {1000, 5, 55.901699, 1}};
     for (size_t i = 0; i < sizeof want / sizeof *want; i++) {
         struct arena a = {0};
         struct train_config cfg;
@@ -293,6 +295,7 @@ static void short_runs_take_larger_steps(void **state)
         cfg.iterations.one = want[i].steps;
         kit_ok(schedule_make(&cfg, 60, &whole, s, &e), e);
         assert_true(fabs(s[2].lr_factor - want[i].factor) < 1e-6);
+        assert_true(fabs(schedule_sh_factor(&cfg, &s[0], 60) - want[i].sh) < 1e-9);
         assert_true(fabs(s[0].lr_mean_first - want[i].factor * cfg.lr_mean * 50) < 1e-9);
         assert_true(fabs(s[2].lr_mean_last - want[i].last * LR_FINAL * 50) < 1e-9);
         cfg.lr_short = 1;

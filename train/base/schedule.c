@@ -377,6 +377,12 @@ double schedule_fade(const struct schedule *s, uint32_t step)
     return pow(s->fade_to, (double)(step - s->fade_from) / (double)(s->steps - s->fade_from));
 }
 
+double schedule_sh_factor(const struct train_config *cfg, const struct schedule *s, size_t n_photos)
+{
+    const double looks = s->kappa * schedule_full(cfg) / fmax((double)n_photos, 1.0);
+    return fmin(SCHEDULE_SH_LOOKS / fmax(looks, 1.0), 1.0);
+}
+
 double schedule_lr_mean(const struct schedule *s, uint32_t step)
 {
     if (!(s->lr_mean_first > 0.0) || !(s->lr_mean_last > 0.0))

@@ -88,6 +88,12 @@ uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
 double schedule_lr_mean(const struct schedule *s, uint32_t step);
 /* Factor on all rates, those of schedule_lr_mean too: 1 to fade_to. */
 double schedule_fade(const struct schedule *s, uint32_t step);
+/* Factor on the rate of harmonics above the base colour, at most 1: a run that draws each of its n
+ * photographs more than SCHEDULE_SH_LOOKS times moves them no farther than one that draws each so
+ * often (docs/decisions/013-rates-and-length.md). */
+#define SCHEDULE_SH_LOOKS 100.0
+double schedule_sh_factor(const struct train_config *cfg, const struct schedule *s,
+                          size_t n_photos);
 /* The part of the level that is done, 0 to 1. */
 double schedule_done(const struct schedule *s, uint32_t step);
 #endif
