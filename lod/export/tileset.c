@@ -124,12 +124,13 @@ static void tileset_corners(struct buf *out, const char *name, const double min[
 }
 
 /* Where nearly all of the tile is, in its frame: the viewer measures distance to it, as pick.c. At
- * the root also where most of the scene is. */
+ * the root also where most of the scene is, which is not known of a part that is cut out. */
 static void tileset_extras(const struct tileset *t, uint32_t node, const double center[3])
 {
     const struct tree_node v = tree_node(t->tree, node);
     const struct tree_bounds b = tree_bounds(t->tree, node);
-    const bool core = v.tile != TREE_NONE && v.child_count > 0, root = node == t->tree->root;
+    const bool core = v.tile != TREE_NONE && v.child_count > 0,
+               root = node == t->tree->root && !t->left;
     double min[3], max[3];
     if (!core && !root)
         return;

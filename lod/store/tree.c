@@ -244,8 +244,14 @@ void tree_extent(const struct tree *t, double min_enu_m[3], double max_enu_m[3])
 {
     const double less = (0.96 - 0.9) / (2 * 0.96); /* a core is from 2 to 98 % */
     struct tree_bounds b = {0};
-    if (t->root != TREE_NONE)
-        b = t->root < t->n_tiles ? tree_bounds_alone(t, t->root) : tree_bounds(t, t->root);
+    if (t->root != TREE_NONE) {
+        const struct tree_node v = tree_node(t, t->root);
+        b = tree_bounds_alone(t, t->root);
+        for (uint32_t c = 0; v.tile == TREE_NONE && c < v.child_count; c++) {
+            const struct tree_bounds top = tree_bounds_alone(t, t->children[v.child_first + c]);
+            tree_unite(&b, &top);
+        }
+    }
     for (int a = 0; a < 3; a++) {
         const double cut = less * (b.core_max_enu_m[a] - b.core_min_enu_m[a]);
         min_enu_m[a] = b.core_min_enu_m[a] + cut;

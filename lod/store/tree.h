@@ -67,9 +67,10 @@ struct tree_node tree_node(const struct tree *t, size_t node);
 /* Whether a node has no children. */
 bool tree_leaf(const struct tree *t, size_t node);
 struct tree_bounds tree_bounds(const struct tree *t, uint32_t node);
-/* Where most of a scene's Gaussians are, m in its frame: from 5 to 95 % of the means along each
- * axis, by the core of the coarsest tile, or of those that stand side by side. All 0 without tiles.
- * Sky, ground and home of the viewer and of the server's pictures are made for this box. */
+/* Where most of a scene's Gaussians are, m in its frame: from about 5 to 95 % of the means along
+ * each axis (their 2 and 98 % are known), of the coarsest tile, or of all that have none above
+ * them. All 0 without tiles. Sky and ground of the viewer and of the server's pictures are made for
+ * it. */
 void tree_extent(const struct tree *t, double min_enu_m[3], double max_enu_m[3]);
 
 /* The tree of an opened store; borrowed. */

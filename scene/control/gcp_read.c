@@ -381,7 +381,7 @@ static enum err_code gcp_no_number(const struct gcp_table *t, size_t i, const ch
     if (table_is_grouped(field))
         return err_set(e, ERR_FORMAT,
                        "%s: line %zu: field %zu, '%.40s', has a thousands separator: write it "
-                       "without, as 5123456.78",
+                       "without, and with a decimal point, as 5123456.78",
                        t->path, t->line, i + 1, field);
     return err_set(e, ERR_FORMAT, "%s: line %zu: field %zu is no number; expected is %s", t->path,
                    t->line, i + 1,

@@ -329,27 +329,31 @@ static enum err_code positions_numbers(const struct table *t, const struct posit
             return err_set(
                 e, ERR_FORMAT, "%s: line %zu: field %zu, '%.40s', is no number: write %s", t->path,
                 t->line, i + 1, field[i],
-                table_is_grouped(field[i]) ? "it without thousands separators, as 5123456.78"
-                : strchr(field[i], ',')    ? "it with a decimal point"
-                                           : "metres, or decimal degrees that are negative "
-                                             "in the south and west, without units");
+                table_is_grouped(field[i])
+                    ? "it without thousands separators and with a decimal point, as 5123456.78"
+                : strchr(field[i], ',') ? "it with a decimal point"
+                                        : "metres, or decimal degrees that are negative "
+                                          "in the south and west, without units");
     }
     return ERR_OK;
 }
 
 /* A line divided by blanks, of a list that names no columns: "634 676.5 5 123 456.78" would be an x
- * of 634. Coordinates of maps are larger. */
+ * of 634. Both coordinates look so; "512 340.5 120" may be two of a site's own grid, and a height.
+ */
 static enum err_code positions_check_grouped(const struct table *t, char *const field[TABLE_FIELDS],
                                              size_t n, struct err *e)
 {
-    char both[80];
-    snprintf(both, sizeof both, "%.30s %.30s", field[COLUMN_X],
-             n > COLUMN_Z + 1 ? field[COLUMN_Y] : "");
-    return table_is_grouped(both)
+    char x[80], y[80];
+    if (n <= COLUMN_Z + 2)
+        return ERR_OK;
+    snprintf(x, sizeof x, "%.30s %.30s", field[COLUMN_X], field[COLUMN_Y]);
+    snprintf(y, sizeof y, "%.30s %.30s", field[COLUMN_Z], field[COLUMN_Z + 1]);
+    return table_is_grouped(x) && table_is_grouped(y)
                ? err_set(e, ERR_FORMAT,
                          "%s: line %zu: '%s' has a thousands separator: write it without, as "
                          "5123456.78",
-                         t->path, t->line, both)
+                         t->path, t->line, x)
                : ERR_OK;
 }
 

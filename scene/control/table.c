@@ -225,7 +225,8 @@ bool table_is_grouped(const char *field)
                                                                  "\xe2\x80\xaf"};
     const char *first = field + strspn(field, "+-");
     const size_t head = strspn(first, digits);
-    for (size_t k = 0; head >= 1 && head <= 3 && k < sizeof marks / sizeof *marks; k++) {
+    for (size_t k = 0; head >= 1 && head <= 3 && *first != '0' && k < sizeof marks / sizeof *marks;
+         k++) {
         const size_t n = strlen(marks[k]);
         const char *from = first + head, *p = from;
         while (!strncmp(p, marks[k], n) && strspn(p + n, digits) == 3)

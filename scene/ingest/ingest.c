@@ -124,7 +124,7 @@ static enum err_code ingest_check_name(const struct ingest *g, const char *name,
 {
     if (!ingest_name_is_safe(name))
         return err_set(e, ERR_DATA,
-                       "%s: image '%.200s' %s: names of images are relative to the folder of "
+                       "%.300s: image '%.100s' %s: names of images are relative to the folder of "
                        "photographs: convert the model to text (colmap model_converter "
                        "--output_type TXT), shorten the names in images.txt, and give that folder",
                        g->model.dir, name,

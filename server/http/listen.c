@@ -75,13 +75,16 @@ enum err_code listen_open(const char *address, int port, const char *option, int
     struct addrinfo *a = NULL;
     struct sockaddr_storage bound;
     socklen_t n = sizeof bound;
-    const int yes = 1;
+    const int yes = 1, no = 0;
     *fd = -1;
     enum err_code rc = listen_find(address, port, option, &a, e);
     if (rc)
         return rc;
     *fd = socket(a->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    /* :: takes IPv4, too, whatever net.ipv6.bindv6only says */
     if (*fd < 0 || setsockopt(*fd, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes) != 0 ||
+        (a->ai_family == AF_INET6 &&
+         setsockopt(*fd, IPPROTO_IPV6, IPV6_V6ONLY, &no, sizeof no) != 0) ||
         bind(*fd, a->ai_addr, a->ai_addrlen) != 0 || listen(*fd, 1024) != 0 ||
         getsockname(*fd, (struct sockaddr *)&bound, &n) != 0)
         rc = listen_failed(address, port, option, e);

@@ -154,8 +154,8 @@ static void walk_part(struct walk *w, struct key k, const json_t *node, const do
     json_decref(j);
 }
 
-/* The root says where most of the scene is: sky and ground are drawn for it, by the viewer and by
- * the server. */
+/* The root says where most of the scene is, by its own tile or by those that stand side by side: sky
+ * and ground are drawn for it, by the viewer and by the server. */
 static void walk_extent(const struct walk *w, const json_t *root)
 {
     const struct tree *tree = store_tree(w->s);
@@ -166,7 +166,19 @@ static void walk_extent(const struct walk *w, const json_t *root)
         x = store_shape(w->s, store_tiles(w->s, &n) + tree->root);
     nums(json_object_get(json_object_get(root, "extras"), "extent"), 6, got);
     tree_extent(tree, min, max);
+    double low[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, high[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+    const struct store_tile *tiles = store_tiles(w->s, &n);
+    for (size_t i = 0; i < n; i++) {
+        const struct store_shape top = store_shape(w->s, &tiles[i]);
+        const uint32_t parent = tree_node(tree, i).parent;
+        for (size_t k = 0; k < 3 && (parent == TREE_NONE || parent >= tree->n_tiles); k++) {
+            low[k] = fmin(low[k], top.core_min_enu_m[k]);
+            high[k] = fmax(high[k], top.core_max_enu_m[k]);
+        }
+    }
     for (size_t k = 0; k < 3; k++) {
+        const double cut = 0.03125 * (high[k] - low[k]);
+        assert_true(fabs(min[k] - low[k] - cut) < 1e-6 && fabs(high[k] - cut - max[k]) < 1e-6);
         assert_true(fabs(got[k] + x.center_enu_m[k] - min[k]) < 1e-3);
         assert_true(fabs(got[3 + k] + x.center_enu_m[k] - max[k]) < 1e-3);
     }

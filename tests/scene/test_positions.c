@@ -537,6 +537,7 @@ static void nonsense_is_refused(void **state)
         {"c.csv", "image,lon,lat,z\na.jpg,7,5,47,5,300\n", "decimal commas"},
         {"d.csv", "image;lon;lat;z\na.jpg;7,5,1;47.5;300\n", "decimal point"},
         {"e.csv", "image,lon,lat,z\n", "no positions"},
+        {"o.csv", "image,lon,lat,z,accuracy\na.jpg,7.5,47.5,300,\"0,025\"\n", "decimal point"},
         {"k.txt", "EPSG:25832\na.jpg 634 676.5 5 123 456.78 300\n",
          "line 2: '634 676.5' has a thousands separator: write it without"},
         {"l.csv", "image,x,y,z\na.jpg,634676.5,5 123 456.78,300\n",

@@ -122,3 +122,38 @@ test("what is saved says what its heights count from, as the scene does", async 
         assert.equal(geometry.coordinates.flat(2)[2], 300);
     }
 });
+
+test("a tileset alone says what its heights count from", async () => {
+    for (const [verticalDatum, heights] of [
+        [undefined, "ellipsoid"],
+        ["WGS 84 ellipsoid", "ellipsoid"],
+        ["sea level by EXIF (no geoid known)", "sea"],
+        ["NAP", "unknown"],
+    ]) {
+        const document = tilesetOf(NEW);
+        document.asset.extras = { verticalDatum };
+        const entry = { attribution: "", tileset: new URL("http://city.test/city/tileset.json"), network: null, catalogue: null, heights: "ellipsoid" };
+        await openScene({ json: async () => document }, entry, "", () => true);
+        assert.equal(entry.heights, heights);
+    }
+});
+
+test("where most Gaussians are is taken from documents where it is in the box of all", async () => {
+    const { Extent } = await importSource("extent.ts");
+    const { Frame } = await importSource("geo.ts");
+    const tile = { min: [-0.9, -0.7, -0.9], max: [0.9, 0.5, 0.9], outline: [0, 0, 1, 0, 1, 1, 0, 1] };
+    const boxOf = async (extent) => {
+        const document = tilesetOf(NEW);
+        document.root.extras = { extent };
+        document.root.transform[12] = 6378137; // on the equator: east, north and up are y, z and x of ECEF
+        document.root.transform.splice(0, 12, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0);
+        const entry = { attribution: "", tileset: new URL("http://city.test/city/tileset.json"), network: null, catalogue: null, heights: "" };
+        const info = await openScene({ json: async () => document }, entry, "", () => true);
+        const { min, max } = new Extent(info, new Frame(info.transform)).add(tile).box;
+        return [min.x, min.y, min.z, max.x, max.y, max.z].map((v) => Math.round(1e6 * v) / 1e6 + 0);
+    };
+    // x east, y up, z south; heights are the tile's
+    assert.deepEqual(await boxOf([-0.5, -0.4, -1, 0.6, 0.3, 1]), [-0.5, -0.7, -0.3, 0.6, 0.5, 0.4]);
+    const measured = [-0.9, -0.7, -0.9, 0.9, 0.5, 0.9];
+    for (const none of [undefined, [7.5, 47.5, 7.6, 47.6, 250, 300], [1, 2, 3], "all"]) assert.deepEqual(await boxOf(none), measured);
+});

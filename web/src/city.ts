@@ -102,6 +102,7 @@ export class City {
   private next: CityTiles | null = null; // takes the place of the active one when it is complete
   private target = 16;
   private core: Extent | null = null;
+  private revision = "";
   private wakeTimer = 0;
   private lost = false;
   private closed = false;
@@ -212,9 +213,10 @@ export class City {
     } else {
       this.retire(this.active);
       this.active = tiles;
-      this.core = new Extent(info, frame);
       this.ground?.forget();
     }
+    if (this.active === tiles || this.revision !== info.revision) this.core = new Extent(info, frame);
+    this.revision = info.revision;
     this.fresh = false;
     this.onWake(false);
   }
@@ -285,7 +287,7 @@ export class City {
   private surround() {
     const { active, backdrop, core, engine, ground } = this;
     const blocks = active?.coarsest ?? [];
-    if (!backdrop.visible || !this.shows || !blocks.length || !core) return;
+    if (!backdrop.visible || !this.shows || !blocks.length || !core || core.box.isEmpty()) return;
     if (ground) {
       ground.follow(blocks, core.box);
       if (this.frame) ground.lay(this.basemap, this.frame);

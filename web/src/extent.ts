@@ -21,13 +21,14 @@ function boxOf(info: SceneInfo, frame: Frame, center: Vector3, half: Vector3): B
   return box;
 }
 
-// Where most Gaussians are by the documents of a scene; null where they do not tell. The server's pictures have their sky
-// and ground by the same box.
+// Where most Gaussians are by the documents of a scene; null where they do not tell, or tell of a place beyond all of them.
+// The server's pictures have their sky and ground by the same box.
 function toldOf(info: SceneInfo, frame: Frame): Box3 | null {
   if (!info.most) return null;
   const [low, high] = [new Vector3().fromArray(info.most), new Vector3().fromArray(info.most, 3)];
   const half = high.clone().sub(low).multiplyScalar(0.5);
-  return boxOf(info, frame, low.add(half), half);
+  const box = boxOf(info, frame, low.add(half), half);
+  return boxOf(info, frame, info.center, info.half).expandByScalar(1).containsBox(box) ? box : null;
 }
 
 // As the documents of a scene have it, before any tile.
@@ -39,18 +40,20 @@ export function extentOf(info: SceneInfo, frame: Frame): Box3 {
 export class Extent {
   readonly box = new Box3();
   readonly corners: Vector3[] = []; // of outlines, below and above
-
-  private readonly told: boolean; // by the documents; else it grows with the tiles
+  private readonly told: Box3 | null;
 
   constructor(info: SceneInfo, frame: Frame) {
-    const told = toldOf(info, frame);
-    this.told = told !== null;
-    if (told) this.box.copy(told);
+    this.told = toldOf(info, frame);
   }
 
+  // Heights are those of the tiles: a few Gaussians far below the ground would lower what the documents tell.
   add({ min, max, outline }: { min: number[]; max: number[]; outline: Outline }): this {
     const [low, high] = [new Vector3(...min), new Vector3(...max)];
-    if (!this.told) this.box.union(new Box3(low, high));
+    this.box.union(new Box3(low, high));
+    if (this.told) {
+      this.box.min.setX(this.told.min.x).setZ(this.told.min.z);
+      this.box.max.setX(this.told.max.x).setZ(this.told.max.z);
+    }
     for (let i = 0; i < 8; i += 2)
       for (const y of [low.y, high.y]) this.corners.push(new Vector3(outline[i], y, outline[i + 1]));
     return this;

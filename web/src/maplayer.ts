@@ -282,9 +282,9 @@ export class MapLayer {
       if (ticket !== this.opening || city !== this.city) return;
       const tint = info.network && image ? new Tint(info.network) : null;
       if (image) tint?.set(image, appearance);
+      if (!keep || this.info?.revision !== info.revision) this.core = null;
       [this.tint, this.scene, this.info] = [tint, entry, info];
       link.watch(entry.tileset);
-      if (!keep) this.core = null;
       this.frame = new Frame(info.transform);
       city.open(info, this.frame, keep, tint);
       this.showCredit();

@@ -89,7 +89,7 @@ interface Collection {
   splats?: { revision?: string; formats?: unknown; heights?: string; created?: string; taken?: string[]; outline?: number[] };
 }
 interface TilesetDocument {
-  asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
+  asset?: { tilesetVersion?: string; extras?: { verticalDatum?: string; cesium?: { credits?: { html?: string }[] } } };
   root?: Node & { transform?: number[]; boundingVolume?: { box?: number[] }; extras?: { extent?: unknown } };
 }
 interface Node {
@@ -267,6 +267,12 @@ export async function openScene(
   return describe(entry, url, document, null, entry.packed);
 }
 
+// By the words of a tileset alone: those of heights_datum in core/geo/heights.c.
+function countedFrom(datum: string): string {
+  if (!datum || datum.startsWith("WGS 84")) return "ellipsoid";
+  return datum.startsWith("sea level") ? "sea" : "unknown";
+}
+
 function describe(
   entry: SceneEntry,
   url: URL,
@@ -281,6 +287,7 @@ function describe(
   const extent = (axis: number) =>
     Math.abs(box[3 + axis]!) + Math.abs(box[6 + axis]!) + Math.abs(box[9 + axis]!);
   const credits = document.asset?.extras?.cesium?.credits ?? [];
+  if (!entry.catalogue) entry.heights = countedFrom(document.asset?.extras?.verticalDatum ?? "");
   return {
     url: url.href,
     network,

@@ -220,6 +220,7 @@ static void walk(const json_t *node, const char *base, struct listed *l)
         response_free(&r);
     }
     l->bare = l->bare || (!uri && !json_array_size(children));
+    assert_null(json_object_get(json_object_get(node, "extras"), "extent")); /* of the whole */
     for (size_t i = 0; i < json_array_size(children); i++)
         walk(json_array_get(children, i), base, l);
 }
