@@ -154,8 +154,8 @@ static void walk_part(struct walk *w, struct key k, const json_t *node, const do
     json_decref(j);
 }
 
-/* The root says where most of the scene is, by its own tile or by those that stand side by side: sky
- * and ground are drawn for it, by the viewer and by the server. */
+/* The root says where most of the scene is, by its own tile or by those that stand side by side:
+ * sky and ground are drawn for it, by the viewer and by the server. */
 static void walk_extent(const struct walk *w, const json_t *root)
 {
     const struct tree *tree = store_tree(w->s);
