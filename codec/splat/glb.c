@@ -506,7 +506,7 @@ static void glb_from_linear(struct gauss *g)
 static enum err_code glb_decode_plain(const struct glb *f, const struct codec_limits *lim,
                                       struct gauss *out, struct err *e)
 {
-    struct values position;
+    struct values position = {0};
     char name[64];
     uint32_t degree = 0;
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
@@ -554,8 +554,10 @@ static enum err_code glb_decode_one(const struct glb *f, const struct codec_limi
     json_t *inside = json_object_get(f->splat, "extensions");
     if (!json_object_get(inside, EXT_SPZ)) {
         const char *other = json_object_iter_key(json_object_iter(inside));
-        enum err_code rc = glb_decode_plain(f, lim, out, e);
-        return rc == ERR_FORMAT && other ? glb_other_extension(other, e) : rc;
+        const json_t *attributes = json_object_get(f->primitive, "attributes");
+        return other && !json_object_get(attributes, EXT_SPLAT ":SCALE")
+                   ? glb_other_extension(other, e)
+                   : glb_decode_plain(f, lim, out, e);
     }
     enum err_code rc = glb_seek_spz(f, &spz, &n_spz, e);
     if (!rc)
