@@ -29,88 +29,89 @@ enum column {
     COLUMNS
 };
 
+static const struct {
+    const char *word;
+    enum column column;
+} positions_words[] = {{"image", COLUMN_IMAGE},
+                       {"photo", COLUMN_IMAGE},
+                       {"photograph", COLUMN_IMAGE},
+                       {"file", COLUMN_IMAGE},
+                       {"filename", COLUMN_IMAGE},
+                       {"sourcefile", COLUMN_IMAGE},
+                       {"file_name", COLUMN_IMAGE},
+                       {"image_name", COLUMN_IMAGE},
+                       {"photo_name", COLUMN_IMAGE},
+                       {"image_filename", COLUMN_IMAGE},
+                       {"imagename", COLUMN_IMAGE},
+                       {"name", COLUMN_IMAGE},
+                       {"label", COLUMN_IMAGE},
+                       {"x", COLUMN_X},
+                       {"easting", COLUMN_X},
+                       {"east", COLUMN_X},
+                       {"lon", COLUMN_X},
+                       {"longitude", COLUMN_X},
+                       {"long", COLUMN_X},
+                       {"lng", COLUMN_X},
+                       {"gpslongitude", COLUMN_X},
+                       {"y", COLUMN_Y},
+                       {"northing", COLUMN_Y},
+                       {"north", COLUMN_Y},
+                       {"lat", COLUMN_Y},
+                       {"latitude", COLUMN_Y},
+                       {"gpslatitude", COLUMN_Y},
+                       {"z", COLUMN_Z},
+                       {"height", COLUMN_Z},
+                       {"h", COLUMN_Z},
+                       {"alt", COLUMN_Z},
+                       {"altitude", COLUMN_Z},
+                       {"elevation", COLUMN_Z},
+                       {"ellipsoidal_height", COLUMN_Z},
+                       {"ellipsoid_height", COLUMN_Z},
+                       {"ell_height", COLUMN_Z},
+                       {"height_above_ellipsoid", COLUMN_Z},
+                       {"ellh", COLUMN_Z},
+                       {"gpsaltitude", COLUMN_Z},
+                       {"accuracy_xy", COLUMN_PLAN},
+                       {"accuracy_horizontal", COLUMN_PLAN},
+                       {"horizontal_accuracy", COLUMN_PLAN},
+                       {"accuracy_h", COLUMN_PLAN},
+                       {"accuracy_x/y", COLUMN_PLAN},
+                       {"lateral_rms", COLUMN_PLAN},
+                       {"sigma_xy", COLUMN_PLAN},
+                       {"accuracy_x", COLUMN_EAST},
+                       {"accuracy_y", COLUMN_NORTH},
+                       {"sde", COLUMN_EAST},
+                       {"sigma_e", COLUMN_EAST},
+                       {"std_east", COLUMN_EAST},
+                       {"sdn", COLUMN_NORTH},
+                       {"sigma_n", COLUMN_NORTH},
+                       {"std_north", COLUMN_NORTH},
+                       {"accuracy_z", COLUMN_HEIGHT},
+                       {"accuracy_vertical", COLUMN_HEIGHT},
+                       {"vertical_accuracy", COLUMN_HEIGHT},
+                       {"accuracy_v", COLUMN_HEIGHT},
+                       {"elevation_rms", COLUMN_HEIGHT},
+                       {"sdu", COLUMN_HEIGHT},
+                       {"sigma_u", COLUMN_HEIGHT},
+                       {"std_up", COLUMN_HEIGHT},
+                       {"sigma_z", COLUMN_HEIGHT},
+                       {"accuracy", COLUMN_BOTH},
+                       {"accuracy_x/y/z", COLUMN_BOTH},
+                       {"sigma", COLUMN_BOTH}};
+
 static enum column positions_column(const char *word, int *epsg, char heights[HEIGHTS_MAX])
 {
-    static const struct {
-        const char *word;
-        enum column column;
-    } words[] = {{"image", COLUMN_IMAGE},
-                 {"photo", COLUMN_IMAGE},
-                 {"photograph", COLUMN_IMAGE},
-                 {"file", COLUMN_IMAGE},
-                 {"filename", COLUMN_IMAGE},
-                 {"sourcefile", COLUMN_IMAGE},
-                 {"file_name", COLUMN_IMAGE},
-                 {"image_name", COLUMN_IMAGE},
-                 {"photo_name", COLUMN_IMAGE},
-                 {"image_filename", COLUMN_IMAGE},
-                 {"imagename", COLUMN_IMAGE},
-                 {"name", COLUMN_IMAGE},
-                 {"label", COLUMN_IMAGE},
-                 {"x", COLUMN_X},
-                 {"easting", COLUMN_X},
-                 {"east", COLUMN_X},
-                 {"lon", COLUMN_X},
-                 {"longitude", COLUMN_X},
-                 {"long", COLUMN_X},
-                 {"lng", COLUMN_X},
-                 {"gpslongitude", COLUMN_X},
-                 {"y", COLUMN_Y},
-                 {"northing", COLUMN_Y},
-                 {"north", COLUMN_Y},
-                 {"lat", COLUMN_Y},
-                 {"latitude", COLUMN_Y},
-                 {"gpslatitude", COLUMN_Y},
-                 {"z", COLUMN_Z},
-                 {"height", COLUMN_Z},
-                 {"h", COLUMN_Z},
-                 {"alt", COLUMN_Z},
-                 {"altitude", COLUMN_Z},
-                 {"elevation", COLUMN_Z},
-                 {"ellipsoidal_height", COLUMN_Z},
-                 {"ellipsoid_height", COLUMN_Z},
-                 {"ell_height", COLUMN_Z},
-                 {"height_above_ellipsoid", COLUMN_Z},
-                 {"ellh", COLUMN_Z},
-                 {"gpsaltitude", COLUMN_Z},
-                 {"accuracy_xy", COLUMN_PLAN},
-                 {"accuracy_horizontal", COLUMN_PLAN},
-                 {"horizontal_accuracy", COLUMN_PLAN},
-                 {"accuracy_h", COLUMN_PLAN},
-                 {"accuracy_x/y", COLUMN_PLAN},
-                 {"lateral_rms", COLUMN_PLAN},
-                 {"sigma_xy", COLUMN_PLAN},
-                 {"accuracy_x", COLUMN_EAST},
-                 {"accuracy_y", COLUMN_NORTH},
-                 {"sde", COLUMN_EAST},
-                 {"sigma_e", COLUMN_EAST},
-                 {"std_east", COLUMN_EAST},
-                 {"sdn", COLUMN_NORTH},
-                 {"sigma_n", COLUMN_NORTH},
-                 {"std_north", COLUMN_NORTH},
-                 {"accuracy_z", COLUMN_HEIGHT},
-                 {"accuracy_vertical", COLUMN_HEIGHT},
-                 {"vertical_accuracy", COLUMN_HEIGHT},
-                 {"accuracy_v", COLUMN_HEIGHT},
-                 {"elevation_rms", COLUMN_HEIGHT},
-                 {"sdu", COLUMN_HEIGHT},
-                 {"sigma_u", COLUMN_HEIGHT},
-                 {"std_up", COLUMN_HEIGHT},
-                 {"sigma_z", COLUMN_HEIGHT},
-                 {"accuracy", COLUMN_BOTH},
-                 {"accuracy_x/y/z", COLUMN_BOTH},
-                 {"sigma", COLUMN_BOTH}};
     char plain[TABLE_HEADING];
     table_heading(word, plain);
-    for (size_t w = 0; w < sizeof words / sizeof *words; w++) {
-        if (strcasecmp(plain, words[w].word))
+    for (size_t w = 0; w < sizeof positions_words / sizeof *positions_words; w++) {
+        if (strcasecmp(plain, positions_words[w].word))
             continue;
         if (!strncasecmp(plain, "lon", 3) || !strcasecmp(plain, "lng") ||
             !strcasecmp(plain, "gpslongitude"))
             *epsg = POSITIONS_LONLAT;
         if (!strncasecmp(plain, "ell", 3) || !strcasecmp(plain, "height_above_ellipsoid"))
             snprintf(heights, HEIGHTS_MAX, "ellipsoid");
-        return words[w].column;
+        return positions_words[w].column;
     }
     return COLUMNS;
 }
