@@ -128,20 +128,21 @@ static void tileset_corners(struct buf *out, const char *name, const double min[
 static void tileset_extras(const struct tileset *t, uint32_t node, const double center[3])
 {
     const struct tree_node v = tree_node(t->tree, node);
-    const struct tree_bounds b = tree_bounds(t->tree, node);
     const bool core = v.tile != TREE_NONE && v.child_count > 0,
                root = node == t->tree->root && !t->left;
-    double min[3], max[3];
     if (!core && !root)
         return;
     buf_printf(t->out, ",\"extras\":{");
-    if (core)
+    if (core) {
+        const struct tree_bounds b = tree_bounds(t->tree, node);
         tileset_corners(t->out, "core", b.core_min_enu_m, b.core_max_enu_m, center);
-    tree_extent(t->tree, min, max);
-    if (core && root)
-        buf_printf(t->out, ",");
-    if (root)
+    }
+    if (root) {
+        double min[3], max[3];
+        tree_extent(t->tree, min, max);
+        buf_printf(t->out, "%s", core ? "," : "");
         tileset_corners(t->out, "extent", min, max, center);
+    }
     buf_printf(t->out, "}");
 }
 
