@@ -104,7 +104,7 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
 
 /* A server that is started again has the same options: it must not replace what a former one found.
  */
-static enum err_code serve_trace_begin(const char *path, struct err *e)
+static enum err_code serve_trace_check(const char *path, struct err *e)
 {
     enum err_code rc = output_check(path, true, e);
     if (!rc && file_exists(path))
@@ -112,7 +112,7 @@ static enum err_code serve_trace_begin(const char *path, struct err *e)
                      "--trace %s: exists, and serve replaces no trace: remove it, or name another "
                      "file",
                      path);
-    return rc ? rc : trace_begin(path, e);
+    return rc;
 }
 
 /* The trace is written whatever ended the server. */
@@ -141,15 +141,17 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     if (rc || args.done)
         goto out;
     log_set_json(cfg.log_format);
-    if (cfg.check) {
+    if (cfg.trace)
+        rc = serve_trace_check(cfg.trace, e);
+    if (!rc && cfg.check)
         rc = server_check(&cfg, args.arg, args.n, stdout, e);
+    if (rc || cfg.check)
         goto out;
-    }
     /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
     signals_catch();
     if (cfg.trace)
-        rc = serve_trace_begin(cfg.trace, e);
+        rc = trace_begin(cfg.trace, e);
     if (!rc)
         rc = server_start(&cfg, args.arg, args.n, &sv, e);
     if (rc)

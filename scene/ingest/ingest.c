@@ -59,9 +59,16 @@ static enum err_code ingest_for_photos(struct ingest *g, const char *what,
 /* ---- the photographs ---- */
 
 /* A relative path that stays below its folder. */
+/* Also by a drive's letter or a share, as in models that were made on Windows. */
+static bool ingest_name_is_absolute(const char *s)
+{
+    return s[0] == '/' || !strncmp(s, "\\\\", 2) ||
+           (s[0] && s[1] == ':' && (s[2] == '/' || s[2] == '\\'));
+}
+
 static bool ingest_name_is_safe(const char *s)
 {
-    if (s[0] == '/')
+    if (ingest_name_is_absolute(s))
         return false;
     for (const char *p = s; *p; p += strcspn(p, "/"), p += *p == '/')
         if (!strncmp(p, "..", 2) && (p[2] == '/' || !p[2]))
@@ -128,8 +135,8 @@ static enum err_code ingest_check_name(const struct ingest *g, const char *name,
                        "photographs: convert the model to text (colmap model_converter "
                        "--output_type TXT), shorten the names in images.txt, and give that folder",
                        g->model.dir, name,
-                       name[0] == '/' ? "has an absolute name"
-                                      : "leads out of the folder of photographs");
+                       ingest_name_is_absolute(name) ? "has an absolute name"
+                                                     : "leads out of the folder of photographs");
     if (!ingest_is_utf8(name))
         return err_set(e, ERR_DATA,
                        "images: '%.200s', the %zu. by name, is not written in UTF-8, which the "

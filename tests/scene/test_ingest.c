@@ -337,14 +337,19 @@ static void test_bad_input(void **state)
     expect_nothing_left(other);
 
     /* COLMAP run on a list of whole paths */
-    kit_ok(colmap_read(city, &m, &e), e);
-    m.images[6].name = arena_printf(&m.arena, "/home/me/IMG_0006.jpg");
-    join(photo, city, "few");
-    kit_ok(colmap_write_bin(photo, &m, &e), e);
-    colmap_free(&m);
-    kit_fails(ingest_run(images, photo, &ic, &e), ERR_DATA, e,
-              "image '/home/me/IMG_0006.jpg' has an absolute name");
-    kit_expect_text(e.msg, "images.txt", __FILE__, __LINE__);
+    static const char *const whole[] = {"/home/me/IMG_0006.jpg", "C:\\me\\IMG_0006.jpg",
+                                        "d:/IMG_0006.jpg", "\\\\nas\\me\\IMG_0006.jpg"};
+    for (size_t i = 0; i < sizeof whole / sizeof *whole; i++) {
+        char says[128];
+        kit_ok(colmap_read(city, &m, &e), e);
+        m.images[6].name = arena_printf(&m.arena, "%s", whole[i]);
+        join(photo, city, "few");
+        kit_ok(colmap_write_bin(photo, &m, &e), e);
+        colmap_free(&m);
+        snprintf(says, sizeof says, "image '%s' has an absolute name", whole[i]);
+        kit_fails(ingest_run(images, photo, &ic, &e), ERR_DATA, e, says);
+        kit_expect_text(e.msg, "images.txt", __FILE__, __LINE__);
+    }
 
     /* a name in Latin-1, before anything is converted */
     ingest_config(&ic, other, "latin-scene");

@@ -280,7 +280,8 @@ test("a height profile along a path: by the server, without it from what is draw
         const coming = page.waitForEvent("download");
         await page.click("#profile-csv");
         const rows = readFileSync(await (await coming).path(), "utf8").trim().split("\r\n");
-        assert.equal(rows[0], "distance_m,lon,lat,height_m");
+        assert.equal(rows[0], "distance_m,lon,lat,height_m,heights");
+        assert.ok(rows.slice(1).every((row) => row.endsWith(",ellipsoid")), rows[1]);
         const numbers = rows.slice(1).map((row) => row.split(",").map(Number));
         const [first, last] = [numbers[0], numbers.at(-1)];
         t.diagnostic(`${way}: ${numbers.length} heights, ${first[3]} to ${last[3]} m`);

@@ -66,14 +66,15 @@ export function niceStep(span: number, count: number): number {
   return power * ([1, 2, 5, 10].find((factor) => factor * power >= raw * 0.999) ?? 10);
 }
 
-export function toCsv(points: ProfilePoint[]): string {
+// `heights` says what heights count from (SceneEntry.heights).
+export function toCsv(points: ProfilePoint[], heights = ""): string {
   const rows = points.map(({ distance, lon, lat, h }) =>
-    [distance.toFixed(3), lon.toFixed(8), lat.toFixed(8), h === null ? "" : h.toFixed(3)].join(","),
+    [distance.toFixed(3), lon.toFixed(8), lat.toFixed(8), h === null ? "" : h.toFixed(3), heights].join(","),
   );
-  return ["distance_m,lon,lat,height_m", ...rows, ""].join("\r\n"); // RFC 4180
+  return ["distance_m,lon,lat,height_m,heights", ...rows, ""].join("\r\n"); // RFC 4180
 }
 
-// One line a stretch that has a surface (RFC 7946); `heights` says what heights count from (SceneEntry.heights).
+// One line a stretch that has a surface (RFC 7946).
 export function toGeoJson(points: ProfilePoint[], heights?: string): string {
   const lines: number[][][] = [];
   let line: number[][] = [];

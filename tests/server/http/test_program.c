@@ -280,14 +280,15 @@ static void test_revocation(void **state)
 
 static void test_check_and_exit_codes(void **state)
 {
-    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX], open[FILE_PATH_MAX],
-        state_dir[FILE_PATH_MAX], names[FILE_PATH_MAX];
+    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX], fifo[FILE_PATH_MAX], trace[FILE_PATH_MAX],
+        open[FILE_PATH_MAX], state_dir[FILE_PATH_MAX], names[FILE_PATH_MAX];
     struct err e = {0};
     assert_int_equal(chmod(rights_file("\"admin\"", "", open), 0644), 0);
     kit_ok(file_join(state_dir, t.dir, "state", &e), e);
     kit_ok(file_mkdir(state_dir, &e), e);
     kit_ok(file_join(names, state_dir, "appearances.sqlite", &e), e);
     kit_ok(file_write(names, "", 0, &e), e);
+    kit_ok(file_join(trace, t.dir, "checked.json", &e), e);
     kit_ok(file_join(fifo, t.dir, "fifo.tiles", &e), e);
     assert_int_equal(mkfifo(fifo, 0600), 0);
     rights_put("bad.tiles", "this is no store", bad);
@@ -325,6 +326,8 @@ static void test_check_and_exit_codes(void **state)
         {EX_CONFIG, "no file", {"--check", fifo}}, /* not waited for */
         {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},
+        {EX_CONFIG, "replaces no trace", {"--check", "--trace", conf}},
+        {0, "", {"--check", "--trace", trace}},
         {EX_USAGE, "--prot", {"--prot", "1"}},
         {EX_CONFIG, "port", {"--config", conf}},
         {EX_DATAERR, "bad.tiles", {bad, "--port", "0"}},
