@@ -73,8 +73,8 @@ static enum err_code measure_samples(const struct geo_origin *frame, const doubl
 }
 
 enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t count,
-                              double step_m, struct measure_sample **out, size_t *n_out,
-                              double *length_m, struct err *e)
+                              double step_m, double gsd_m, struct measure_sample **out,
+                              size_t *n_out, double *length_m, struct err *e)
 {
     struct geo_origin frame;
     double at[MEASURE_CORNERS_MAX][2], length = 0;
@@ -87,7 +87,9 @@ enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t
     for (size_t i = 0; i + 1 < count; i++)
         length += hypot(at[i + 1][0] - at[i][0], at[i + 1][1] - at[i][1]);
     double room = MEASURE_SAMPLES_MAX - MEASURE_CORNERS_MAX - 1, least = length / room,
-           step = step_m > 0 ? step_m : fmax(nadir_area(n)->sigma_m, least);
+           usual = nadir_area(n)->sigma_m, fine = step_m > 0 ? fmin(step_m, usual) : usual,
+           pixel = gsd_m > 0 ? gsd_m : fmax(fine, usual / 4),
+           step = step_m > 0 ? step_m : fmax(pixel, least);
     if (!(length > 0) || !(step >= least))
         return err_set(e, ERR_DATA,
                        length > 0 ? "a line of %.0f m in steps of %g m: at most %d samples, so "
@@ -103,7 +105,7 @@ enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t
         rc =
             measure_samples(&frame, (const double(*)[2])at, count, step, samples, n_out, places, e);
     if (!rc)
-        rc = probe_many(n, (const double(*)[2])places, *n_out, 0, probes, e);
+        rc = probe_many(n, (const double(*)[2])places, *n_out, pixel, probes, e);
     for (size_t i = 0; !rc && i < *n_out; i++)
         samples[i].probe = probes[i];
     mem_free(places);

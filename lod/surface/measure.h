@@ -27,13 +27,14 @@ struct measure_sample {
     struct probe probe;
 };
 /* Samples the surface every step_m along a line of places [count][2], and at its corners. step_m 0:
- * a pixel, or longer if there would be too many samples. Free *out with mem_free. length_m is
- * horizontal. ERR_DATA: fewer than 2 places, or too many samples; the message says which step is
+ * a pixel, or longer if there would be too many samples. gsd_m is the pixel size; 0: about the size
+ * of the Gaussians, or the step if that is less, down to a fourth of it. Free *out with mem_free.
+ * length_m is horizontal. ERR_DATA: fewer than 2 places, or too many samples; the message says which step is
  * possible. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in measure_plan and
  * probe_many. */
 enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t count,
-                              double step_m, struct measure_sample **out, size_t *n_out,
-                              double *length_m, struct err *e) ERR_USE;
+                              double step_m, double gsd_m, struct measure_sample **out,
+                              size_t *n_out, double *length_m, struct err *e) ERR_USE;
 
 /* Computes how much a profile climbs and falls in all, in m. A rise or fall counts if it exceeds
  * three standard deviations of its two ends (noise_m of surface_maps), so noise of level ground

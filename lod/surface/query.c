@@ -150,7 +150,7 @@ static enum err_code query_read_measure(const json_t *o, struct query *out, stru
 /* A key that is misspelt would leave its default in force without a word. */
 static const char *const query_keys[][8] = {
     [QUERY_HEIGHT] = {"places", "gsd_m"},
-    [QUERY_PICK] = {"camera", "pose", "width", "height", "x", "y", "gsd_m"},
+    [QUERY_PICK] = {"camera", "pose", "width", "height", "x", "y"},
     [QUERY_PROFILE] = {"line", "gsd_m", "step_m"},
     [QUERY_MEASURE] = {"line", "polygon", "base", "gsd_m"},
     [QUERY_VISIBLE] = {"from", "to", "gsd_m"},
@@ -297,7 +297,8 @@ static enum err_code query_profile(const struct query_work *w, struct err *e)
     struct measure_sample *s;
     size_t n = 0, known = 0;
     double length, climb = 0, fall = 0, along = 0, lowest = HUGE_VAL, highest = -HUGE_VAL;
-    enum err_code rc = measure_profile(w->nadir, q->place, q->n, q->step_m, &s, &n, &length, e);
+    enum err_code rc =
+        measure_profile(w->nadir, q->place, q->n, q->step_m, q->gsd_m, &s, &n, &length, e);
     if (rc)
         return rc;
     json_t *list = json_array();

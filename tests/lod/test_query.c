@@ -37,6 +37,7 @@ static void unknown_keys_are_refused(void **state)
         {QUERY_HEIGHT, "{\"places\": [[8, 50]], \"gsd\": 1}",
          "takes no 'gsd'; it takes places, gsd_m"},
         {QUERY_PROFILE, "{\"line\": [[8, 50], [8, 51]], \"step\": 1}", "takes no 'step'"},
+        {QUERY_PICK, "{\"x\": 1, \"y\": 1, \"gsd_m\": 1}", "takes no 'gsd_m'"},
         {QUERY_MEASURE, "{\"polygon\": [[8, 50], [8, 51], [9, 50]], \"base_m\": 3}", "'base_m'"},
         {QUERY_VISIBLE,
          "{\"from\": {\"lon\": 8, \"lat\": 50, \"above\": 2}, \"to\": {\"lon\": 8, \"lat\": 50, "
@@ -131,6 +132,35 @@ static void profiles_follow_the_surface(void **state)
     }
     assert_true(level > 50);
     json_decref(o);
+}
+
+/* How often the height changes along a line over ground, houses and slopes. */
+static size_t changes(double gsd_m)
+{
+    double a[3], b[3];
+    size_t n = 0;
+    place_of(-24, -23, 0, a);
+    place_of(24, 21, 0, b);
+    json_t *question =
+        json_pack("{s:[[f,f],[f,f]],s:f}", "line", a[0], a[1], b[0], b[1], "step_m", 0.05);
+    if (gsd_m > 0)
+        json_object_set_new(question, "gsd_m", json_real(gsd_m));
+    json_t *o = ask(QUERY_PROFILE, NULL, question);
+    const json_t *list = json_object_get(o, "samples");
+    for (size_t i = 1; i < json_array_size(list); i++)
+        n += number(json_array_get(list, i), "height_m") !=
+             number(json_array_get(list, i - 1), "height_m");
+    json_decref(o);
+    return n;
+}
+
+/* Pixels are as small as the step asks for, and as large as is asked for. */
+static void profiles_have_pixels_of_their_step(void **state)
+{
+    double usual = nadir_area(f.nadir)->sigma_m;
+    size_t own = changes(0), as_usual = changes(usual), large = changes(2);
+    if (own < 2 * as_usual || large > as_usual / 3) /* 283, 132 and 36 when this was written */
+        fail_msg("%zu changes, %zu in pixels of %.2f m, %zu of 2 m", own, as_usual, usual, large);
 }
 
 /* Heights of a profile, each known to 0.1 m. */
@@ -478,12 +508,19 @@ static void the_program_answers(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(many_places_have_heights), cmocka_unit_test(profiles_follow_the_surface),
-        cmocka_unit_test(noise_does_not_climb),     cmocka_unit_test(volumes_are_the_citys),
-        cmocka_unit_test(pixels_show_the_city),     cmocka_unit_test(eyes_see_what_is_not_hidden),
-        cmocka_unit_test(polygons_are_checked),     cmocka_unit_test(what_is_drawn_is_limited),
-        cmocka_unit_test(unknown_keys_are_refused), cmocka_unit_test(far_lines_are_refused),
-        cmocka_unit_test(sea_level_is_told),        cmocka_unit_test(the_program_answers),
+        cmocka_unit_test(many_places_have_heights),
+        cmocka_unit_test(profiles_follow_the_surface),
+        cmocka_unit_test(profiles_have_pixels_of_their_step),
+        cmocka_unit_test(noise_does_not_climb),
+        cmocka_unit_test(volumes_are_the_citys),
+        cmocka_unit_test(pixels_show_the_city),
+        cmocka_unit_test(eyes_see_what_is_not_hidden),
+        cmocka_unit_test(polygons_are_checked),
+        cmocka_unit_test(what_is_drawn_is_limited),
+        cmocka_unit_test(unknown_keys_are_refused),
+        cmocka_unit_test(far_lines_are_refused),
+        cmocka_unit_test(sea_level_is_told),
+        cmocka_unit_test(the_program_answers),
     };
     return cmocka_run_group_tests_name("query", tests, survey_setup, survey_teardown);
 }
