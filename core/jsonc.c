@@ -30,9 +30,14 @@ static void jsonc_blank_comments(char *text, size_t n)
 enum err_code jsonc_parse(const char *text, size_t n, const char *name, struct json_t **out,
                           struct err *e)
 {
+    static const char bom[] = "\xef\xbb\xbf";
     char *copy = mem_array(n + 1, 1);
     if (!copy)
         return err_set(e, ERR_MEM, "%s: out of memory", name);
+    if (n >= sizeof bom - 1 && !memcmp(text, bom, sizeof bom - 1)) { /* as Windows begins files */
+        text += sizeof bom - 1;
+        n -= sizeof bom - 1;
+    }
     if (n)
         memcpy(copy, text, n);
     jsonc_blank_comments(copy, n);

@@ -170,6 +170,8 @@ bool geojson_holds(const struct geojson_area *a, double lon_deg, double lat_deg)
     bool in = false;
     for (size_t i = 0; i < a->n; i++) {
         const double *p = a->edges[i].from, *q = a->edges[i].to;
+        if (in && i && a->edges[i].polygon != a->edges[i - 1].polygon)
+            return true;
         if ((p[1] > lat_deg) != (q[1] > lat_deg) &&
             lon_deg < p[0] + (lat_deg - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
             in = !in;

@@ -13,7 +13,7 @@
 enum { GEOJSON_CORNERS_MAX = 20000 }; /* of one ring */
 struct geojson_edge {
     double from[2], to[2]; /* longitude, latitude */
-    size_t polygon, ring;  /* numbers of its polygon and ring */
+    size_t polygon, ring;  /* numbers of its polygon and ring, which do not fall */
 };
 struct geojson_area {           /* {0} is empty; free with geojson_free */
     struct geojson_edge *edges; /* ring after ring */
@@ -30,7 +30,8 @@ enum err_code geojson_read(const char *path, struct geojson_area *out, struct er
 enum err_code geojson_of_ring(const double (*at)[2], size_t n, struct geojson_area *out,
                               struct err *e) ERR_USE;
 void geojson_free(struct geojson_area *a);
-/* whether the place is inside, even-odd rule */
+/* Whether the place is inside of a polygon: in its outer ring and not in a hole. Polygons may overlap
+ * or lie in each other. */
 bool geojson_holds(const struct geojson_area *a, double lon_deg, double lat_deg);
 
 #endif

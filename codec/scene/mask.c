@@ -7,12 +7,13 @@
 #include <math.h>
 #include <stdatomic.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "codec/image/image.h"
 #include "codec/scene/scene.h"
 
-enum { MASK_USE = 128 };
+enum { MASK_USE = 128, MASK_COLOUR = 32 /* channels of a grey differ by less */ };
 
 enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_PATH_MAX],
                         struct err *e)
@@ -62,13 +63,35 @@ static uint8_t mask_use_from(const char *path, const struct image *img)
     return most < MASK_USE ? 1 : MASK_USE;
 }
 
+/* Classes have colours, and nothing says which of them are to be ignored. */
+static enum err_code mask_check_grey(const char *path, const struct image *img, struct err *e)
+{
+    const size_t n = img->channels < 3 ? 0 : (size_t)img->width_px * img->height_px;
+    for (size_t i = 0; i < n; i++) {
+        const uint8_t *p = img->px + i * img->channels;
+        if (abs(p[0] - p[1]) >= MASK_COLOUR || abs(p[1] - p[2]) >= MASK_COLOUR ||
+            abs(p[0] - p[2]) >= MASK_COLOUR)
+            return err_set(e, ERR_DATA,
+                           "%s: has colours, (%d, %d, %d) for one, as a picture of classes has: "
+                           "write a mask that is black where the photograph is to be ignored and "
+                           "white elsewhere",
+                           path, p[0], p[1], p[2]);
+    }
+    return ERR_OK;
+}
+
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
                         struct err *e)
 {
     struct image img = {0};
     *out = (struct image){0};
     enum err_code rc = image_read(path, NULL, &img, e);
-    return rc ? rc : mask_take(path, &img, mask_use_from(path, &img), width_px, height_px, out, e);
+    if (!rc)
+        rc = mask_check_grey(path, &img, e);
+    if (!rc)
+        return mask_take(path, &img, mask_use_from(path, &img), width_px, height_px, out, e);
+    image_free(&img);
+    return rc;
 }
 
 bool mask_is_empty(const uint8_t *px, size_t n)

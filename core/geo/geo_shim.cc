@@ -16,6 +16,7 @@
 #include <exception>
 #include <memory>
 #include <string>
+#include <strings.h>
 #include <vector>
 
 namespace
@@ -127,7 +128,7 @@ enum err_code open_grid(const char *path, const std::string &name, struct geoid 
 
 bool ends_with(const std::string &s, const std::string &t)
 {
-    return s.size() >= t.size() && s.compare(s.size() - t.size(), t.size(), t) == 0;
+    return s.size() >= t.size() && strcasecmp(s.c_str() + s.size() - t.size(), t.c_str()) == 0;
 }
 
 } // namespace

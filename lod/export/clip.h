@@ -20,7 +20,7 @@ struct clip {                 /* free with clip_free */
     struct geojson_area area; /* empty: everywhere */
     double low_m, high_m;     /* as the store counts them; -INFINITY, INFINITY: no limit */
 };
-/* Reads the polygons of a GeoJSON file (codec/container/geojson.h), by the even-odd rule. path
+/* Reads the polygons of a GeoJSON file (codec/container/geojson.h), each by the even-odd rule. path
  * NULL: everywhere. Heights: -HUGE_VAL, HUGE_VAL: no limit. ERR_DATA: low_m is not below high_m.
  * ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT, ERR_DATA, ERR_MEM as in geojson_read. */
 enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,

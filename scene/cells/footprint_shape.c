@@ -2,7 +2,8 @@
  *
  * Borders are contours of the distance to the border, by marching squares. Inside is on the left,
  * so outer rings run counter-clockwise and holes clockwise (RFC 7946). They are simplified to a
- * fraction of a cell. GeoJSON polygons are put onto the grid by the even-odd rule.
+ * fraction of a cell. GeoJSON polygons are put onto the grid one after the other, each by the
+ * even-odd rule of its rings.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -28,6 +29,7 @@ struct shape_ring {
     double (*at)[2]; /* ENU metres; the first corner is not repeated */
     size_t n;
     double area_m2; /* negative: a hole */
+    size_t polygon; /* of a file: its rings follow each other */
 };
 struct shape { /* {0} is empty; shape_free */
     struct shape_ring *rings;
@@ -48,13 +50,14 @@ static enum err_code shape_no_memory(struct err *e)
 }
 
 /* A copy of the corners becomes a ring. */
-static enum err_code shape_add(struct shape *s, const double (*at)[2], size_t n, struct err *e)
+static enum err_code shape_add(struct shape *s, size_t polygon, const double (*at)[2], size_t n,
+                               struct err *e)
 {
     struct shape_ring *p = mem_room(s->rings, s->n, &s->cap, 8, sizeof *p);
     if (!p)
         return shape_no_memory(e);
     s->rings = p;
-    struct shape_ring r = {.at = mem_array(n, sizeof *r.at), .n = n};
+    struct shape_ring r = {.at = mem_array(n, sizeof *r.at), .n = n, .polygon = polygon};
     if (!r.at)
         return shape_no_memory(e);
     memcpy(r.at, at, n * sizeof *at);
@@ -136,7 +139,7 @@ static enum err_code shape_contours(const struct footprint *f, struct shape *out
         if (len >= 3)
             len = shape_thin(at, len, SHAPE_TOLERANCE * f->cell_m);
         if (len >= 3)
-            rc = shape_add(out, (const double(*)[2])at, len, e);
+            rc = shape_add(out, 0, (const double(*)[2])at, len, e);
     }
     mem_free(next);
     mem_free(at);
@@ -254,7 +257,7 @@ static enum err_code shape_read_ring(const struct geojson_edge *edges, size_t n,
             memcpy(at[i], enu, sizeof *at);
     }
     if (!rc)
-        rc = shape_add(out, (const double(*)[2])at, n, e);
+        rc = shape_add(out, edges->polygon, (const double(*)[2])at, n, e);
     mem_free(at);
     return rc;
 }
@@ -301,26 +304,39 @@ static enum err_code shape_grid(const struct shape *s, struct footprint *f, stru
     return ERR_OK;
 }
 
+enum { SHAPE_IN = 1, SHAPE_TURNED = 2 }; /* of a cell: in a polygon; in the one that is filled */
+
 /* Every cell west of an edge of a ring turns over. */
+static void shape_fill_ring(const struct shape_ring *r, struct footprint *f)
+{
+    for (size_t k = 0; k < r->n; k++) {
+        const double *a = r->at[k], *b = r->at[(k + 1) % r->n];
+        for (size_t row = 1; row + 1 < f->ny; row++) {
+            double y = f->corner_m[1] + ((double)row + 0.5) * f->cell_m;
+            if ((a[1] > y) == (b[1] > y))
+                continue;
+            double x = a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+            double end = (x - f->corner_m[0]) / f->cell_m - 0.5;
+            for (size_t c = 1; c + 1 < f->nx && (double)c < end; c++)
+                f->inside[row * f->nx + c] ^= SHAPE_TURNED;
+        }
+    }
+}
+
+/* Polygons add up, whether they overlap or lie in each other. */
 static size_t shape_fill(const struct shape *s, struct footprint *f)
 {
-    size_t n = 0;
-    memset(f->inside, 0, f->nx * f->ny);
-    for (size_t i = 0; i < s->n; i++)
-        for (size_t k = 0; k < s->rings[i].n; k++) {
-            const double *a = s->rings[i].at[k], *b = s->rings[i].at[(k + 1) % s->rings[i].n];
-            for (size_t row = 1; row + 1 < f->ny; row++) {
-                double y = f->corner_m[1] + ((double)row + 0.5) * f->cell_m;
-                if ((a[1] > y) == (b[1] > y))
-                    continue;
-                double x = a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
-                double end = (x - f->corner_m[0]) / f->cell_m - 0.5;
-                for (size_t c = 1; c + 1 < f->nx && (double)c < end; c++)
-                    f->inside[row * f->nx + c] ^= 1;
-            }
-        }
-    for (size_t i = 0; i < f->nx * f->ny; i++)
-        n += f->inside[i];
+    size_t n = 0, cells = f->nx * f->ny;
+    memset(f->inside, 0, cells);
+    for (size_t i = 0; i < s->n; i++) {
+        shape_fill_ring(&s->rings[i], f);
+        if (i + 1 < s->n && s->rings[i + 1].polygon == s->rings[i].polygon)
+            continue;
+        for (size_t c = 0; c < cells; c++)
+            f->inside[c] = f->inside[c] ? SHAPE_IN : 0;
+    }
+    for (size_t c = 0; c < cells; c++)
+        n += f->inside[c];
     return n;
 }
 

@@ -41,11 +41,22 @@ static enum err_code positions_match_names(const struct positions *p, struct pos
     return ERR_OK;
 }
 
-/* The last group of digits of a name without its ending; SIZE_MAX: none. */
+/* The number of a photograph by its name: DJI_<14 digits>_<number>_..., whatever follows, as a
+ * waypoint or a lens has digits too; else the last group of digits without the ending. SIZE_MAX:
+ * none. */
 static size_t positions_number(const char *name)
 {
+    static const char digits[] = "0123456789";
+    enum { DJI = 4, TIME = 14 };
     const char *slash = strrchr(name, '/'), *base = slash ? slash + 1 : name,
                *end = strrchr(base, '.');
+    if (!strncmp(base, "DJI_", DJI) && strspn(base + DJI, digits) == TIME &&
+        base[DJI + TIME] == '_') {
+        const char *number = base + DJI + TIME + 1;
+        const size_t n = strspn(number, digits);
+        if (n && n < 10 && (number[n] == '_' || number[n] == '.'))
+            return (size_t)strtoul(number, NULL, 10);
+    }
     end = end ? end : base + strlen(base);
     while (end > base && !(end[-1] >= '0' && end[-1] <= '9'))
         end--;

@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "codec/container/geojson.h"
 #include "scene/cells/footprint.h"
 #include "tests/scene/flight_kit.h"
 
@@ -178,6 +179,47 @@ static void test_holes(void **state)
     buf_free(&b);
 }
 
+/* Polygons that overlap or lie in each other add up; only a ring of the same polygon is a hole. The
+ * file begins as Windows begins files. */
+static void test_polygons_add_up(void **state)
+{
+    static const char text[] =
+        "\xef\xbb\xbf{\"type\":\"FeatureCollection\",\"features\":["
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"MultiPolygon\",\"coordinates\":["
+        "[[[7.57,47.56],[7.573,47.56],[7.573,47.564],[7.57,47.564],[7.57,47.56]]],"
+        "[[[7.572,47.56],[7.576,47.56],[7.576,47.564],[7.572,47.564],[7.572,47.56]]]]}},"
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"Polygon\",\"coordinates\":["
+        "[[7.5705,47.561],[7.571,47.561],[7.571,47.563],[7.5705,47.563],[7.5705,47.561]]]}},"
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"Polygon\",\"coordinates\":["
+        "[[7.574,47.563],[7.578,47.563],[7.578,47.566],[7.574,47.566],[7.574,47.563]],"
+        "[[7.577,47.5632],[7.577,47.5658],[7.5778,47.5658],[7.5778,47.5632],[7.577,47.5632]]]}}]}";
+    static const struct {
+        double lon, lat;
+        bool in;
+    } places[] = {{7.5725, 47.562, true}, /* in the first two */
+                  {7.5707, 47.562, true}, /* in the one inside of the first */
+                  {7.5702, 47.562, true},  {7.575, 47.5635, true},   {7.577, 47.562, false},
+                  {7.575, 47.5655, true},  {7.5774, 47.5645, false}, /* the hole */
+                  {7.5718, 47.566, false}, {7.569, 47.562, false}};
+    const struct geo_origin origin = {7.57, 47.56, 280};
+    struct footprint f = {0};
+    struct geojson_area area;
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, kit_tmp, "many.geojson", &e), e);
+    kit_ok(file_write(path, text, strlen(text), &e), e);
+    kit_ok(footprint_read(&f, path, &origin, &e), e);
+    kit_ok(geojson_read(path, &area, &e), e);
+    for (size_t i = 0; i < sizeof places / sizeof *places; i++) {
+        double enu[3];
+        kit_ok(geo_to_enu(&origin, places[i].lon, places[i].lat, 280, enu, &e), e);
+        assert_int_equal(geojson_holds(&area, places[i].lon, places[i].lat), places[i].in);
+        assert_true(weight(&f, enu[0], enu[1], 0, 0.1) == (places[i].in ? 1.0 : 0.0));
+    }
+    geojson_free(&area);
+    footprint_free(&f);
+}
+
 static void expect(const char *text, enum err_code want, const char *word)
 {
     const struct geo_origin origin = {7.57, 47.56, 280};
@@ -260,7 +302,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_known_survey),  cmocka_unit_test(test_geojson_and_back),
         cmocka_unit_test(test_holes),         cmocka_unit_test(test_bad_input),
-        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_out_of_memory), cmocka_unit_test(test_polygons_add_up),
     };
     return cmocka_run_group_tests(tests, kit_tmp_make, kit_tmp_remove);
 }

@@ -203,6 +203,39 @@ static void dji_numbers_photographs(void **state)
     assert_true(rms[0] < fine_m && rms[1] < 2 * fine_m);
 }
 
+/* Names of DJI end in a waypoint, a lens or what the pilot wrote; the number follows the time. */
+static void dji_names_have_a_number_after_the_time(void **state)
+{
+    static const struct {
+        const char *name;
+        size_t line;
+    } rows[] = {{"DJI_20230501100027_0003_V_Waypoint1.JPG", 2},
+                {"a/DJI_20230501100029_0001_W_Waypoint2.JPG", 0},
+                {"DJI_20230501100031_0002.JPG", 1},
+                {"DJI_20230501100033_0004_roof2.JPG", 3},
+                {"DJI_0005.JPG", 4}};
+    enum { N = sizeof rows / sizeof *rows };
+    struct position_photo photos[N] = {{0}};
+    struct positions p;
+    struct err e = {0};
+    struct buf b = {0};
+    char path[FILE_PATH_MAX];
+    for (int i = 0; i < N; i++) {
+        photos[i].name = rows[i].name;
+        buf_printf(&b,
+                   "%d\t%d.5\t[2158]\t0,N\t0,E\t0,V\t47.5,Lat\t7.5,Lon\t300,Ellh\t1, 1, 1\t50,Q\n",
+                   i + 1, 394224 + i);
+    }
+    buf_u8(&b, 0);
+    put("waypoints_Timestamp.MRK", (const char *)b.data, path);
+    buf_free(&b);
+    kit_ok(positions_read(path, &p, &e), e);
+    kit_ok(positions_match(&p, photos, N, &e), e);
+    for (size_t i = 0; i < N; i++)
+        assert_int_equal(photos[i].position, rows[i].line);
+    positions_free(&p);
+}
+
 /* Events have times, photographs have times of another clock: the difference is found; GPS of EXIF
  * decides between shifts by one interval. */
 static void events_are_matched_by_time(void **state)
@@ -585,6 +618,10 @@ static void a_geoid_makes_heights_ellipsoidal(void **state)
     struct buf out = {0};
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
     double rms[2];
+    kit_ok(file_join(path, tmp, "COUNTRY.GTX", &e), e);
+    kit_gtx(path, 46, 6);
+    kit_ok(geoid_open(path, &g, &e), e);
+    geoid_close(&g);
     kit_ok(file_join(path, tmp, "country.gtx", &e), e);
     kit_gtx(path, 46, 6);
     kit_ok(geoid_open(path, &g, &e), e);
@@ -618,6 +655,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(accuracies_weigh),
         cmocka_unit_test(dji_numbers_photographs),
+        cmocka_unit_test(dji_names_have_a_number_after_the_time),
         cmocka_unit_test(events_are_matched_by_time),
         cmocka_unit_test(tables_of_other_programs_are_read),
         cmocka_unit_test(tables_in_utf16_are_read),

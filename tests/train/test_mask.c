@@ -93,6 +93,34 @@ static void dark_masks_have_numbers(void **state)
     kit_rmdir(dir);
 }
 
+/* Of classes in colours nothing says which are to be ignored. Noise of a camera's white is grey. */
+static void colours_are_no_mask(void **state)
+{
+    enum { W = 8, H = 4 };
+    static const uint8_t road[3] = {128, 64, 128}, house[3] = {70, 70, 70},
+                         white[3] = {255, 240, 250};
+    struct err e = {0};
+    struct image img = {0}, out = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "classes.png", &e), e);
+    kit_ok(image_alloc(W, H, 3, &img, &e), e);
+    for (size_t i = 0; i < W * H; i++)
+        memcpy(img.px + 3 * i, i % 5 ? house : road, 3);
+    kit_ok(image_write(path, &img, 0, NULL, &e), e);
+    kit_fails(mask_read(path, W, H, &out, &e), ERR_DATA, e, "has colours, (128, 64, 128)");
+    assert_null(out.px);
+    for (size_t i = 0; i < W * H; i++)
+        memcpy(img.px + 3 * i, i % 5 ? white : (const uint8_t[3]){0, 0, 0}, 3);
+    kit_ok(image_write(path, &img, 0, NULL, &e), e);
+    kit_ok(mask_read(path, W, H, &out, &e), e);
+    for (size_t i = 0; i < W * H; i++)
+        assert_int_equal(out.px[i], i % 5 ? 255 : 0);
+    image_free(&img);
+    image_free(&out);
+    kit_rmdir(dir);
+}
+
 /* A mask of two greys, as of a palette for the eye, masks nothing: the first of them is reported.
  * One of 1 alone belongs to masks of 0 and 1, and is white. */
 static void greys_without_black_are_told(void **state)
@@ -274,6 +302,7 @@ int main(void)
         cmocka_unit_test(a_pixel_is_ignored_when_any_below_it_is),
         cmocka_unit_test(dark_masks_have_numbers),
         cmocka_unit_test(greys_without_black_are_told),
+        cmocka_unit_test(colours_are_no_mask),
         cmocka_unit_test(cutouts_are_masks_by_their_alpha),
         cmocka_unit_test(undistortion_moves_masks_as_it_moves_pictures),
         cmocka_unit_test(points_on_masked_pixels_are_left_out),
