@@ -15,6 +15,9 @@
  * sea"), or above take-off; nor do XMP's absolute ones that equal the relative ones, by RTK or not,
  * and heights above take-off that all are 0. A contradiction is said with both values.
  *
+ * RTK comes and goes within a flight: then some altitudes count from the ellipsoid and some from
+ * the sea. Those that do not count from where their flight's do are none.
+ *
  * Where altitudes are EXIF's or XMP's, the barometer's heights above take-off are used at their
  * level, the median difference, because they do not jump as those of satellites do; unless that
  * difference is not constant (the drone took off elsewhere, or was calibrated on the way), or a
@@ -44,14 +47,14 @@ static bool drone_counts(const struct ingest_photo *p, uint32_t flight)
 }
 
 /* The altitude, or XMP's absolute one, minus the barometer's, of all that have both; their median,
- * and whether nearly all of the flight are near it. */
+ * and whether nearly all of the flight are near it. Of those apart the barometer is enough. */
 static bool drone_level(const struct ingest *g, uint32_t flight, bool absolute, double *scratch,
                         double *level_m)
 {
     size_t n = 0, all = 0, near = 0;
     for (size_t i = 0; i < g->n; i++) {
         const struct ingest_photo *p = &g->photos[i];
-        if (!drone_counts(p, flight))
+        if (!drone_counts(p, flight) || (p->apart && p->drone.has_relative))
             continue;
         all++;
         if (p->drone.has_relative && (absolute ? p->drone.has_absolute : p->gps.has_altitude))
@@ -69,7 +72,8 @@ struct drone_sources {                                  /* of altitude in a flig
     size_t n, rtk, ellipsoid, exif, absolute, relative; /* photographs that have it */
     size_t pairs;                                       /* with EXIF's and XMP's absolute */
     size_t below;                                       /* with EXIF's below the sea */
-    double exif_m, absolute_m;                          /* their medians */
+    size_t above;               /* with EXIF's above the ellipsoid, by RTK or EXIF */
+    double exif_m, absolute_m;  /* their medians */
     double apart_m, mirrored_m; /* median distance of both, and of one from the other's negative */
     double spread_m[2]; /* of EXIF's minus the barometer's, and of its negative minus those */
     bool exif_flat, absolute_flat; /* they are heights above take-off */
@@ -112,6 +116,7 @@ static void drone_sources_find(const struct ingest *g, uint32_t flight, double *
         s->rtk += d->ellipsoidal && (d->has_absolute || exif);
         s->ellipsoid += exif && p->gps.ellipsoidal;
         s->exif += exif;
+        s->above += exif && (p->gps.ellipsoidal || d->ellipsoidal);
         s->below += exif && p->gps.alt_m < 0;
         s->absolute += d->has_absolute;
         s->relative += d->has_relative;
@@ -189,24 +194,73 @@ static void drone_take(struct ingest_photo *p, enum ingest_altitude from, bool a
         p->gps.has_altitude = false;
 }
 
+/* Whether the altitude has another reference than those of the flight. Where most of the flight's
+ * are by RTK and EXIF's count all the same, they are alike. EXIF's that is far from RTK's is not by
+ * RTK. */
+static bool drone_apart(const struct ingest_photo *p, enum ingest_altitude from,
+                        const struct drone_sources *s)
+{
+    const struct drone_meta *d = &p->drone;
+    const bool rtk = d->ellipsoidal, far = p->gps.has_altitude && d->has_absolute &&
+                                           fabs(p->gps.alt_m - d->absolute_m) > drone_apart_m;
+    return from == INGEST_ALTITUDE_RTK              ? !rtk
+           : from == INGEST_ALTITUDE_EXIF_ELLIPSOID ? !rtk && !p->gps.ellipsoidal
+           : from == INGEST_ALTITUDE_EXIF
+               ? 2 * s->above <= s->exif && (p->gps.ellipsoidal || (rtk && !far))
+           : from == INGEST_ALTITUDE_XMP ? 2 * s->rtk <= s->absolute && rtk
+                                         : false;
+}
+
 /* All photographs of a flight by one source, at whose level the barometer counts if it keeps its
  * distance. Returns whether it does. */
 static bool drone_use(struct ingest *g, uint32_t flight, enum ingest_altitude from,
                       const struct drone_sources *s, double *scratch)
 {
     double level_m = 0;
-    for (size_t i = 0; i < g->n; i++)
-        if (drone_counts(&g->photos[i], flight))
-            drone_take(&g->photos[i], from, !s->absolute_flat || from >= INGEST_ALTITUDE_TAKEOFF);
+    for (size_t i = 0; i < g->n; i++) {
+        struct ingest_photo *p = &g->photos[i];
+        if (!drone_counts(p, flight))
+            continue;
+        const bool apart = drone_apart(p, from, s);
+        drone_take(p, from, !s->absolute_flat || from >= INGEST_ALTITUDE_TAKEOFF);
+        p->apart = apart && p->gps.has_altitude;
+        p->gps.has_altitude = p->gps.has_altitude && !apart;
+    }
     if ((from != INGEST_ALTITUDE_EXIF && from != INGEST_ALTITUDE_XMP) ||
         !drone_level(g, flight, false, scratch, &level_m))
         return false;
     for (size_t i = 0; i < g->n; i++)
         if (drone_counts(&g->photos[i], flight)) {
+            g->photos[i].gps.has_altitude = true;
+            g->photos[i].apart = false;
             g->photos[i].gps.alt_m = level_m + g->photos[i].drone.relative_m;
             g->photos[i].altitude = INGEST_ALTITUDE_BAROMETER;
         }
     return true;
+}
+
+static void drone_say_apart(const struct ingest *g, uint32_t flight, enum ingest_altitude from)
+{
+    const struct ingest_photo *first = NULL;
+    size_t n = 0, all = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct ingest_photo *p = &g->photos[i];
+        if (!drone_counts(p, flight))
+            continue;
+        first = first || !p->apart ? first : p;
+        n += p->apart;
+        all++;
+    }
+    if (n && !g->positions && !g->gcps)
+        log_warn("ingest",
+                 "flight %u: %zu of %zu photographs %s, '%s' first: their altitudes have another "
+                 "reference than the others', so their positions do not count; the photographs "
+                 "stay",
+                 flight + 1, n, all,
+                 from == INGEST_ALTITUDE_RTK              ? "lost RTK"
+                 : from == INGEST_ALTITUDE_EXIF_ELLIPSOID ? "do not count from the ellipsoid"
+                                                          : "count from the ellipsoid",
+                 first->image->name);
 }
 
 /* A firmware that says "below the sea": with the other sign EXIF's altitudes follow the barometer.
@@ -262,14 +316,18 @@ static void drone_flight(struct ingest *g, uint32_t flight, double *scratch)
         return;
     drone_turn(g, flight, &s, scratch);
     const enum ingest_altitude from = drone_choose(flight, &s);
-    if (drone_use(g, flight, from, &s, scratch) || from != INGEST_ALTITUDE_EXIF || s.relative < s.n)
+    const bool level = drone_use(g, flight, from, &s, scratch);
+    if (level || from != INGEST_ALTITUDE_EXIF || s.relative < s.n) {
+        drone_say_apart(g, flight, from);
         return;
+    }
     /* EXIF's jump against the barometer. Do XMP's? */
     double level_m;
     const bool keeps =
         s.absolute == s.n && !s.absolute_flat && drone_level(g, flight, true, scratch, &level_m);
     if (keeps)
         (void)drone_use(g, flight, INGEST_ALTITUDE_XMP, &s, scratch);
+    drone_say_apart(g, flight, from);
     if (s.exif == s.n)
         log_warn("ingest",
                  "flight %u: heights above take-off and EXIF's altitudes do not keep their "
@@ -361,8 +419,9 @@ static void drone_settle_absent(struct ingest *g)
     for (size_t i = 0; i < g->n; i++) {
         const struct image_gps *x = &g->photos[i].gps;
         known += x->has_altitude;
-        absent += x->has_position && !x->has_altitude;
-        first = first || !x->has_position || x->has_altitude ? first : g->photos[i].image->name;
+        const bool here = x->has_position && !x->has_altitude && !g->photos[i].apart;
+        absent += here;
+        first = first || !here ? first : g->photos[i].image->name;
     }
     if (!absent || g->positions || g->gcps)
         return;

@@ -69,6 +69,7 @@ struct ingest_photo {
     struct image_gps gps; /* its altitude is the one that is used */
     struct drone_meta drone;
     enum ingest_altitude altitude;
+    bool apart; /* its altitude has another reference than its flight's, and so does not count */
     struct georef_photo geo;
     struct pose_error pose;
     double residual_m; /* NaN without GPS */

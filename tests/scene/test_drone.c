@@ -15,6 +15,7 @@
 
 #define DEG 57.29577951308232
 #define TAKE_OFF_M 283.4 /* of the drone, as EXIF counts */
+#define ODD_M 50.0       /* from the sea to the ellipsoid */
 
 static struct arena config_texts;
 static char city[FILE_PATH_MAX];
@@ -188,7 +189,13 @@ struct flight {
     double tilt_deg;                /* of all gimbals, to the east; NAN: not written */
     double wobble_deg;              /* of each */
     bool rtk;
+    int odd; /* every such photograph, or the last ones if < 0, lost RTK, or alone has it */
 };
+
+static bool is_odd(const struct flight *f, size_t i, size_t n)
+{
+    return f->odd > 0 ? i % (size_t)f->odd == 0 : i + (size_t)-f->odd >= n;
+}
 
 /* XMP of the photograph that truly is `p`: as text. */
 static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t n, double origin_h,
@@ -196,6 +203,7 @@ static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t 
 {
     struct err e = {0};
     double center[3], m[16], up[3], tilt = f->tilt_deg / DEG;
+    const bool odd = is_odd(f, i, n);
     kit_ok(jsonc_nums(p, "center_enu_m", 3, center, &e), e);
     kit_ok(jsonc_nums(p, "world_to_camera", 16, m, &e), e);
     buf_printf(out, XMP_HEAD);
@@ -206,9 +214,14 @@ static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t 
     if (isfinite(f->absolute_m))
         buf_printf(out, "drone-dji:AbsoluteAltitude=\"%+.3f\" ",
                    origin_h + center[2] - (f->flat ? TAKE_OFF_M : 0) +
+                       (!odd     ? 0
+                        : f->rtk ? -ODD_M
+                                 : ODD_M) +
                        f->absolute_m * rng_normal(5, 1, i));
-    if (f->rtk)
-        buf_printf(out, "drone-dji:RtkFlag=\"50\" ");
+    if (f->rtk != odd)
+        buf_printf(out, "drone-dji:RtkFlag=\"50\" drone-dji:AltitudeType=\"RtkAlt\" ");
+    else if (odd)
+        buf_printf(out, "drone-dji:RtkFlag=\"0\" drone-dji:AltitudeType=\"GpsFusionAlt\" ");
     if (isfinite(f->tilt_deg)) {
         const double lean[3] = {sin(tilt) + f->wobble_deg / DEG * rng_normal(5, 2, i),
                                 f->wobble_deg / DEG * rng_normal(5, 3, i), cos(tilt)};
@@ -235,7 +248,7 @@ static void write_exif(const struct flight *f, const char *path)
     gps.alt_m = f->exif == MIRRORED         ? -gps.alt_m
                 : f->exif == ZERO           ? 0
                 : f->exif == ABOVE_TAKE_OFF ? m.relative_m
-                                            : gps.alt_m + 50;
+                                            : gps.alt_m + ODD_M;
     kit_ok(exif_insert(&b, &gps, &e), e);
     kit_ok(file_write(path, b.data, b.size, &e), e);
     buf_free(&b);
@@ -262,7 +275,7 @@ static void write_flight(const struct flight *f, const json_t *truth, const char
         write_xmp(f, p, i, n, city_origin(truth)->h_m, &xmp);
         kit_ok(buf_check(&xmp, &e), e);
         put_xmp(from, path, (const char *)xmp.data);
-        if (f->exif)
+        if (f->exif && (f->exif != APART || !f->odd || is_odd(f, i, n)))
             write_exif(f, path);
         buf_free(&xmp);
     }
@@ -378,6 +391,70 @@ static void rtk_counts_from_the_ellipsoid(void **state)
     ingest_flight("rtk-exif", &f, 40, true, &r, &up_m, &tilt);
     assert_true(fabs(up_m - 40) < 1.5);
     json_decref(r);
+}
+
+/* RTK comes and goes: photographs whose altitude has another reference than the others' stay, their
+ * altitude does not count, and the frame is that of the others. */
+static void rtk_comes_and_goes(void **state)
+{
+    static const struct {
+        const char *name, *altitudes, *heights;
+        struct flight flight;
+        double tolerance_m;
+    } cases[] = {
+        {"rtk-lost", "rtk", "ellipsoid", {.rtk = true, .odd = 5, .barometer_m = 0.1}, 0.05},
+        {"rtk-lost-third", "rtk", "ellipsoid", {.rtk = true, .odd = 3, .barometer_m = 0.1}, 0.05},
+        {"rtk-lost-end", "rtk", "ellipsoid", {.rtk = true, .odd = -15, .barometer_m = 0.1}, 0.05},
+        {"rtk-found",
+         "exif",
+         "sea-exif",
+         {.exif = APART, .odd = 3, .barometer_m = (double)NAN},
+         1.5},
+        {"rtk-found-end",
+         "exif",
+         "sea-exif",
+         {.exif = APART, .odd = -15, .barometer_m = (double)NAN},
+         1.5},
+        {"rtk-found-xmp",
+         "xmp",
+         "sea-exif",
+         {.exif = ABSENT, .odd = 3, .barometer_m = (double)NAN},
+         0.05},
+        {"rtk-found-barometer",
+         "barometer",
+         "sea-exif",
+         {.exif = APART, .odd = 3, .barometer_m = 0.1},
+         1.5},
+    };
+    log_set_level(LOG_ERROR);
+    for (size_t c = 0; c < sizeof cases / sizeof *cases; c++) {
+        struct flight f = cases[c].flight;
+        json_t *r;
+        double up_m, tilt;
+        const bool level = !f.rtk && isfinite(f.barometer_m); /* gives all an altitude */
+        size_t i, n, count = 0;
+        const json_t *photo;
+        f.tilt_deg = (double)NAN;
+        f.absolute_m = 0.02;
+        ingest_flight(cases[c].name, &f, 0, false, &r, &up_m, &tilt);
+        const json_t *photos = json_object_get(r, "photos");
+        n = json_array_size(photos);
+        json_array_foreach(photos, i, photo)
+        {
+            const bool counts = !is_odd(&f, i, n) || level;
+            count += counts;
+            assert_true(json_is_true(json_object_get(photo, "kept")));
+            assert_int_equal(json_integer_value(json_object_get(photo, "flight")), 1);
+            assert_int_equal(json_is_number(json_object_get(photo, "residual_m")), counts);
+        }
+        assert_true(n > 30 && number(r, "altitudes", cases[c].altitudes) == (double)count);
+        assert_true((double)count == json_number_value(json_object_get(r, "with_gps")));
+        assert_string_equal(json_string_value(json_object_get(r, "heights")), cases[c].heights);
+        printf("drone: %s: %.2f m off, tilted by %.3f deg\n", cases[c].name, up_m, tilt);
+        assert_true(fabs(up_m) < cases[c].tolerance_m && tilt < 1);
+        json_decref(r);
+    }
+    log_set_level(LOG_WARN);
 }
 
 /* Which altitudes are believed: the table of ingest_drone.c. */
@@ -642,6 +719,7 @@ int main(void)
         cmocka_unit_test(files_are_read),
         cmocka_unit_test(barometers_keep_the_level),
         cmocka_unit_test(rtk_counts_from_the_ellipsoid),
+        cmocka_unit_test(rtk_comes_and_goes),
         cmocka_unit_test(gimbals_tell_the_tilt),
         cmocka_unit_test(altitudes_are_believed_by_a_table),
         cmocka_unit_test(packets_have_many_forms),
