@@ -51,8 +51,8 @@ struct position_photo {
  * says why. ERR_MEM. */
 enum err_code positions_match(const struct positions *p, struct position_photo *photos, size_t n,
                               struct err *e) ERR_USE;
-/* Parses "2024:06:01 10:00:00", also with slashes or a fraction of seconds. Returns NAN if the
- * text is not a time. */
+/* Parses "2024:06:01 10:00:00", also with slashes (then a comma or semicolon may precede the
+ * hour) or a fraction of seconds. Returns NAN if the text is not a time. */
 double positions_time(const char *text);
 
 #endif

@@ -38,7 +38,7 @@ double positions_time(const char *text)
     int y, mo, d, h, mi;
     double s;
     if ((sscanf(text, "%4d:%2d:%2d %2d:%2d:%lf", &y, &mo, &d, &h, &mi, &s) != 6 &&
-         sscanf(text, "%4d/%2d/%2d %2d:%2d:%lf", &y, &mo, &d, &h, &mi, &s) != 6) ||
+         sscanf(text, "%4d/%2d/%2d%*[ \t,;]%2d:%2d:%lf", &y, &mo, &d, &h, &mi, &s) != 6) ||
         y < 1900 || mo < 1 || mo > 12 || !(s >= 0 && s < 61))
         return (double)NAN;
     return positions_seconds(y, mo, d, h * 3600 + mi * 60 + s);

@@ -278,6 +278,14 @@ static void events_are_matched_by_time(void **state)
         assert_int_equal(photos[i].position, i + 3);
     double first = p.list[0].time_s;
     positions_free(&p);
+    for (size_t k = 0; k < 2; k++) { /* RTKLIB's option out-fieldsep */
+        for (char *text = (char *)b.data; *text; text++)
+            *text = *text == (k ? ',' : ' ') ? (k ? ';' : ',') : *text;
+        put("separated.pos", (const char *)b.data, path);
+        kit_ok(positions_read(path, &p, &e), e);
+        assert_true(p.n == N + 3 && p.list[0].time_s == first && p.list[0].at[2] == 350);
+        positions_free(&p);
+    }
     put("week.pos", (const char *)week.data, path);
     kit_ok(positions_read(path, &p, &e), e);
     assert_true(fabs(p.list[0].time_s - first) < 1e-3); /* 2024-06-01 is in week 2316 */
