@@ -11,7 +11,8 @@ static const struct options_spec verify_spec = {
     .command = "verify",
     .usage = "citysplat verify CITY.tiles",
     .about = "Checks every page, index row, tile and blob of a tile store against its hash and "
-             "decodes all of it. Each fault is logged. The exit code is 1 if there is a fault.",
+             "decodes all of it, and the whole against its revision. Each fault is logged. The "
+             "exit code is 1 if there is a fault.",
     .example = "citysplat verify city.tiles",
     .min_args = 1,
     .max_args = 1};

@@ -22,7 +22,7 @@ struct payload;
 /* A level is replaced by the finer one where a pixel is this part of those it was trained on. */
 #define STORE_PIXEL_SHARE 0.75
 
-enum { STORE_LEVEL_MAX = 7, STORE_VERSION_MAX = 0xffffff };
+enum { STORE_LEVEL_MAX = 7, STORE_VERSION_MAX = 0xffffff, STORE_REVISION = 13 };
 struct store_tile { /* the row of one tile in the index */
     struct key key;
     uint32_t count;        /* number of Gaussians */
@@ -62,8 +62,8 @@ struct store_meta {
      * known. Errors are at most 16 STORE_PIXEL_SHARE of it
      * (docs/decisions/020-level-selection.md) */
     double pixel_m[STORE_LEVEL_MAX];
-    char revision
-        [13]; /* by store_commit: hash of tiles, blobs, name, origin, attribution, 12 hex digits */
+    /* by store_commit: hash of tiles, blobs, name, origin, attribution, 12 hex digits */
+    char revision[STORE_REVISION];
     char created[32]; /* ISO 8601; not part of the revision */
 };
 
@@ -180,8 +180,9 @@ const char *store_clip(const struct store *s);
 /* Names of all blobs [*n], sorted. They live in the arena. ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;
-/* Checks all pages, index rows, payloads and blobs. It returns the first fault (ERR_FORMAT, ERR_IO,
- * ERR_MEM), logs each, and counts them in n_bad (may be NULL). */
+/* Checks all pages, index rows, payloads and blobs; and, if these are whole, that they are those of
+ * the revision, as many as meta says. It returns the first fault (ERR_FORMAT, ERR_IO, ERR_MEM),
+ * logs each, and counts them in n_bad (may be NULL). */
 enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_USE;
 
 #endif

@@ -326,9 +326,7 @@ enum err_code store_put_blob(struct store *s, const char *name, const void *byte
 
 /* ---- commit ---- */
 
-/* Hash over what is served: identity, origin, attribution, every tile's row and every blob, in
- * fixed order. */
-static enum err_code store_revision(struct store *s, struct err *e)
+enum err_code store_revision(const struct store *s, char out[STORE_REVISION], struct err *e)
 {
     struct buf b = {0};
     sqlite3_stmt *q = NULL;
@@ -360,8 +358,7 @@ static enum err_code store_revision(struct store *s, struct err *e)
     if (!rc) {
         char hex[33];
         hash_text(hash_bytes(b.data, b.size), hex);
-        memcpy(s->meta.revision, hex, 12);
-        s->meta.revision[12] = '\0';
+        snprintf(out, STORE_REVISION, "%.12s", hex);
     }
     buf_free(&b);
     return rc;
@@ -452,7 +449,7 @@ enum err_code store_commit(struct store **sp, struct err *e)
     }
     rc = store_finish_meta(s, e);
     if (!rc)
-        rc = store_revision(s, e);
+        rc = store_revision(s, s->meta.revision, e);
     if (!rc)
         rc = store_write_meta(s, e);
     if (!rc)

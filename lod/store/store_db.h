@@ -82,6 +82,12 @@ void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
 struct hash128 store_db_hash_in(const uint8_t in[STORE_HASH_BYTES]);
 /* Hash over all members of t, to detect damaged index rows. */
 struct hash128 store_db_row_hash(const struct store_entry *t);
+/* Computes the revision: a hash over what is served, in fixed order: identity, origin, attribution,
+ * every tile's row, sorted by key_compare, and every blob. ERR_FORMAT, ERR_IO, ERR_MEM. */
+enum err_code store_revision(const struct store *s, char out[STORE_REVISION],
+                             struct err *e) ERR_USE;
+/* Returns how many tiles there are, as meta says; 0: not known, as in older files. */
+int64_t store_db_tiles(const struct store *s);
 /* Returns whether a name may stand in URLs and documents unchanged: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
 /* Opens s->db to read the file `at`, by a file system of SQLite's (NULL: the usual one). s->path is

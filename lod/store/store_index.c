@@ -115,19 +115,24 @@ static int store_each_row(sqlite3 *db, const char *sql, struct key from,
 
 /* ---- all rows ---- */
 
-/* How many tiles there are, as the file says, but no more than fit into it. Older files do not say
- * it. It is where the list begins, and no more than that: it grows where there are more. */
-static size_t store_expected(const struct store *s)
+int64_t store_db_tiles(const struct store *s)
 {
-    enum { UNKNOWN = 64 };
     sqlite3_stmt *q = NULL;
-    sqlite3_int64 n = UNKNOWN;
+    int64_t n = 0;
     if (sqlite3_prepare_v2(s->db, "SELECT CAST(value AS INTEGER) FROM meta WHERE key='tiles'", -1,
                            &q, NULL) == SQLITE_OK &&
         sqlite3_step(q) == SQLITE_ROW)
         n = sqlite3_column_int64(q, 0);
     sqlite3_finalize(q);
-    const sqlite3_int64 most = (sqlite3_int64)(s->size_bytes / STORE_ROW_BYTES);
+    return n;
+}
+
+/* How many tiles there are, as the file says, but no more than fit into it. It is where the list
+ * begins, and no more than that: it grows where there are more. */
+static size_t store_expected(const struct store *s)
+{
+    enum { UNKNOWN = 64 };
+    const int64_t n = store_db_tiles(s), most = (int64_t)(s->size_bytes / STORE_ROW_BYTES);
     return (size_t)(n < 1 ? UNKNOWN : n < most ? n : most);
 }
 

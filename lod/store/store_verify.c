@@ -1,4 +1,4 @@
-/* Verification of a tile store: pages, rows, payloads, blobs.
+/* Verification of a tile store: pages, rows, payloads, blobs, and that there are all of them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -58,6 +58,30 @@ static void store_verify_tiles(struct store *s, struct err *first, size_t *n_bad
     progress_end(&p, NULL);
 }
 
+/* What is whole by itself may be less than was written: tiles and blobs that are gone, another
+ * origin. */
+static enum err_code store_verify_all(const struct store *s, struct err *e)
+{
+    char revision[STORE_REVISION];
+    const struct store_meta *m = &s->meta;
+    const size_t n = s->index.n;
+    const int64_t said = store_db_tiles(s);
+    if (said && said != (int64_t)n)
+        return err_set(e, ERR_FORMAT, "%s: %zu tiles, but meta says that there are %lld", s->path,
+                       n, (long long)said);
+    const uint8_t low = n ? s->index.tiles[0].key.z : 0, high = n ? s->index.tiles[n - 1].key.z : 0;
+    if (n && (low != m->zoom_min || high != m->zoom_max))
+        return err_set(e, ERR_FORMAT, "%s: tiles of zooms %u to %u, but meta says %u to %u",
+                       s->path, low, high, m->zoom_min, m->zoom_max);
+    enum err_code rc = store_revision(s, revision, e);
+    if (!rc && strcmp(revision, m->revision))
+        rc = err_set(e, ERR_FORMAT,
+                     "%s: revision %s, but that of its content is %s: it was changed after it was "
+                     "written",
+                     s->path, m->revision, revision);
+    return rc;
+}
+
 enum err_code store_verify(struct store *s, size_t *n_bad_out, struct err *e)
 {
     struct arena a = {0};
@@ -78,6 +102,9 @@ enum err_code store_verify(struct store *s, size_t *n_bad_out, struct err *e)
     for (size_t i = 0; i < n_blobs; i++)
         if (store_get_blob(s, names[i], &b, &one))
             store_note(&first, &one, &n_bad);
+    one = (struct err){0};
+    if (!n_bad && store_verify_all(s, &one)) /* any other damage would change these, too */
+        store_note(&first, &one, &n_bad);
     buf_free(&b);
     arena_free(&a);
     if (n_bad_out)

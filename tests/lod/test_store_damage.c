@@ -334,6 +334,43 @@ static void gaussians_of_no_size_are_refused(void **state)
     gauss_free(&g);
 }
 
+/* Tiles, blobs and values that are gone or others, where all that is left is whole by itself. */
+static void a_changed_store_is_not_whole(void **state)
+{
+    static const struct {
+        const char *sql, *why; /* NULL: it is whole */
+    } changes[] = {
+        {"DELETE FROM tiles WHERE x=34309", "2 tiles, but meta says that there are 3"},
+        {"DELETE FROM tiles WHERE z=16; UPDATE meta SET value=1 WHERE key='tiles'",
+         "tiles of zooms 15 to 15, but meta says 15 to 16"},
+        {"DELETE FROM tiles WHERE x=34309; UPDATE meta SET value=2 WHERE key='tiles'", "revision "},
+        {"UPDATE meta SET value=14 WHERE key='zoom_min'", "meta says 14 to 16"},
+        {"UPDATE meta SET value='9.25' WHERE key='origin_lon_deg'", "revision "},
+        {"UPDATE meta SET value='sea' WHERE key='heights'", "revision "},
+        {"UPDATE meta SET value='0123456789ab' WHERE key='revision'", "revision 0123456789ab"},
+        {"DELETE FROM blobs WHERE name='empty'", "revision "},
+        {"DELETE FROM meta WHERE key='tiles'", NULL}, /* older stores */
+    };
+    struct store_fixture *f = *state;
+    for (size_t i = 0; i < sizeof changes / sizeof *changes; i++) {
+        struct err e = {0};
+        struct store *s;
+        sqlite3 *db = NULL;
+        size_t bad;
+        make_store(f->path, 1);
+        assert_int_equal(sqlite3_open(f->path, &db), SQLITE_OK);
+        assert_int_equal(sqlite3_exec(db, changes[i].sql, NULL, NULL, NULL), SQLITE_OK);
+        sqlite3_close(db);
+        kit_ok(store_open(f->path, &s, &e), e);
+        if (changes[i].why)
+            kit_fails(store_verify(s, &bad, &e), ERR_FORMAT, e, changes[i].why);
+        else
+            kit_ok(store_verify(s, &bad, &e), e);
+        assert_int_equal(bad, changes[i].why != NULL);
+        store_close(&s);
+    }
+}
+
 int main(void)
 {
 #define CASE(name)                                                                                 \
@@ -343,6 +380,7 @@ int main(void)
         CASE(a_flipped_index_byte_costs_one_tile),
         CASE(any_flipped_byte_is_seen_or_harmless),
         CASE(more_than_the_index_says_is_not_read),
+        CASE(a_changed_store_is_not_whole),
         CASE(truncated_files),
         CASE(files_that_are_no_stores),
         CASE(what_is_read_is_bounded_by_the_file),
