@@ -185,7 +185,7 @@ ceilings() { lab ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 # Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl. A file stays below 1 MiB.
 runs_of() { # STUDY
   case $1 in
-  map_views | solid_terms | solid_fixed | solid_ochota) echo "$RUNS/$1.jsonl" ;;
+  map_views | solid_terms | solid_fixed* | solid_alone | solid_weights | solid_ochota) echo "$RUNS/$1.jsonl" ;;
   *) echo "$RUNS/${1%%_*}.jsonl" ;;
   esac
 }
@@ -634,17 +634,48 @@ study_solid_terms() {
   local MAP_VIEWS=1 SURFACE=city GSD_M=0.384
   seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
 }
-# The same question at 480 x 360 px, the default's length and a budget that binds: three terms with known depths, and none.
-solid_fixed_rows() { # TRAIN-OPTIONS
-  local off=(--solid-spread 0 --solid-light 0 --solid-flat 0) spread
-  for spread in 0.005 0.01; do
-    row solid_fixed "spread $spread" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-spread $spread
-  done
-  row solid_fixed none exact "" "$@" "${off[@]}"
-}
-study_solid_fixed() {
+# The same question at 480 x 360 px, the default's length and a budget that binds.
+solid_at_budget() { # STUDY ROWS
   local MAP_VIEWS=1 SURFACE=city
-  seeded solid_fixed solid_fixed_rows --iterations "$(steps solid_fixed)" --budget 40000,80000,160000
+  seeded "$1" "$2" --iterations "$(steps "$1")" --budget 40000,80000,160000
+}
+# "points" begins with the points of known depths, as rows with terms do. The default is spread 0.005, light 0.08, flat 0.01.
+solid_fixed_rows() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2 off=(--solid-spread 0 --solid-light 0 --solid-flat 0)
+  shift 2
+  row "$study" "spread 0.005" "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" --solid-spread 0.005
+  row "$study" none "$scene" "" "$@" "${off[@]}"
+  row "$study" "none, points" "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" "${off[@]}"
+}
+solid_fixed_city() { # TRAIN-OPTIONS
+  solid_fixed_rows solid_fixed exact "$@"
+  row solid_fixed "spread 0.01" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-spread 0.01
+}
+study_solid_fixed() { solid_at_budget solid_fixed solid_fixed_city; }
+# Terms alone and in pairs, and all of them without known depths.
+solid_alone_rows() { # TRAIN-OPTIONS
+  local known=("$@" --depth-prior "$OUT/exact-depth")
+  row solid_alone "light alone" exact "" "${known[@]}" --solid-spread 0 --solid-flat 0
+  row solid_alone "spread alone" exact "" "${known[@]}" --solid-light 0 --solid-flat 0
+  row solid_alone "spread, light" exact "" "${known[@]}" --solid-flat 0
+  row solid_alone "no known depths" exact "" "$@"
+}
+study_solid_alone() { solid_at_budget solid_alone solid_alone_rows; }
+# One weight a third or three times as large.
+solid_weights_rows() { # TRAIN-OPTIONS
+  local o
+  for o in "spread 0.0017" "light 0.027" "light 0.24" "flat 0.03"; do
+    row solid_weights "$o" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-"${o% *}" "${o#* }"
+  done
+}
+study_solid_weights() { solid_at_budget solid_weights solid_weights_rows; }
+solid_fixed_caliterra_rows() { # TRAIN-OPTIONS
+  solid_fixed_rows solid_fixed_caliterra caliterra-400 "$@"
+  row solid_fixed_caliterra "light alone" caliterra-400 "" "$@" --depth-prior "$OUT/caliterra-400-depth" --solid-spread 0 --solid-flat 0
+}
+study_solid_fixed_caliterra() {
+  local SURFACE=points
+  seeded solid_fixed_caliterra solid_fixed_caliterra_rows --iterations "$(steps solid_fixed_caliterra)" --budget 25000,50000,100000
 }
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 # Photographs of twice as many pixels across: half the footprint of a pixel.
@@ -934,7 +965,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_alone solid_weights solid_fixed_caliterra solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

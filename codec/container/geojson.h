@@ -30,8 +30,8 @@ enum err_code geojson_read(const char *path, struct geojson_area *out, struct er
 enum err_code geojson_of_ring(const double (*at)[2], size_t n, struct geojson_area *out,
                               struct err *e) ERR_USE;
 void geojson_free(struct geojson_area *a);
-/* Whether the place is inside of a polygon: in its outer ring and not in a hole. Polygons may overlap
- * or lie in each other. */
+/* Whether the place is inside of a polygon: in its outer ring and not in a hole. Polygons may
+ * overlap, or lie in each other. */
 bool geojson_holds(const struct geojson_area *a, double lon_deg, double lat_deg);
 
 #endif

@@ -29,9 +29,9 @@ struct measure_sample {
 /* Samples the surface every step_m along a line of places [count][2], and at its corners. step_m 0:
  * a pixel, or longer if there would be too many samples. gsd_m is the pixel size; 0: about the size
  * of the Gaussians, or the step if that is less, down to a fourth of it. Free *out with mem_free.
- * length_m is horizontal. ERR_DATA: fewer than 2 places, or too many samples; the message says which step is
- * possible. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in measure_plan and
- * probe_many. */
+ * length_m is horizontal. ERR_DATA: fewer than 2 places, or too many samples; the message says
+ * which step is possible. ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in
+ * measure_plan and probe_many. */
 enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t count,
                               double step_m, double gsd_m, struct measure_sample **out,
                               size_t *n_out, double *length_m, struct err *e) ERR_USE;
