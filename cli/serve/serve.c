@@ -112,6 +112,12 @@ static enum err_code serve_trace_check(const char *path, struct err *e)
                      "--trace %s: exists, and serve replaces no trace: remove it, or name another "
                      "file",
                      path);
+    const char *slash = strrchr(path, '/');
+    char dir[FILE_PATH_MAX] = ".";
+    if (slash)
+        snprintf(dir, sizeof dir, "%.*s", slash == path ? 1 : (int)(slash - path), path);
+    if (!rc && access(dir, W_OK))
+        rc = err_errno(e, ERR_IO, "--trace %s: a trace cannot be written there", path);
     return rc;
 }
 

@@ -13,7 +13,11 @@
 #include "codec/image/image.h"
 #include "codec/scene/scene.h"
 
-enum { MASK_USE = 128, MASK_COLOUR = 32 /* channels of a grey differ by less */ };
+enum {
+    MASK_USE = 128,
+    MASK_COLOUR = 48, /* channels of a grey differ by less */
+    MASK_FEW = 1000   /* a thousandth of the pixels may be anything */
+};
 
 enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_PATH_MAX],
                         struct err *e)
@@ -22,6 +26,16 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
     if (snprintf(name, sizeof name, "%s.png", photo_name) >= (int)sizeof name)
         return err_set(e, ERR_LIMIT, "%.100s...: the name is too long", photo_name);
     return file_join(out, dir, name, e);
+}
+
+/* The greatest channel: black is black, and any colour is not. */
+static uint8_t mask_value(const struct image *img, size_t i)
+{
+    const uint8_t *p = img->px + i * img->channels;
+    if (img->channels < 3)
+        return p[0];
+    const uint8_t most = p[0] > p[1] ? p[0] : p[1];
+    return most > p[2] ? most : p[2];
 }
 
 /* `from` is freed. */
@@ -37,7 +51,7 @@ static enum err_code mask_take(const char *path, struct image *from, uint8_t use
     if (!rc)
         rc = image_alloc(width_px, height_px, 1, out, e);
     for (size_t i = 0; !rc && i < (size_t)width_px * height_px; i++)
-        out->px[i] = img.px[i * img.channels] < use ? 0 : 255;
+        out->px[i] = mask_value(&img, i) < use ? 0 : 255;
     image_free(&img);
     return rc;
 }
@@ -51,7 +65,7 @@ static uint8_t mask_use_from(const char *path, const struct image *img)
 {
     uint8_t least = 255, most = 0;
     for (size_t i = 0; i < (size_t)img->width_px * img->height_px; i++) {
-        const uint8_t v = img->px[i * img->channels];
+        const uint8_t v = mask_value(img, i);
         least = v < least ? v : least;
         most = v > most ? v : most;
     }
@@ -63,21 +77,36 @@ static uint8_t mask_use_from(const char *path, const struct image *img)
     return most < MASK_USE ? 1 : MASK_USE;
 }
 
-/* Classes have colours, and nothing says which of them are to be ignored. */
-static enum err_code mask_check_grey(const char *path, const struct image *img, struct err *e)
+static bool mask_apart(const uint8_t *a, const uint8_t *b, int most)
+{
+    return abs(a[0] - b[0]) > most || abs(a[1] - b[1]) > most || abs(a[2] - b[2]) > most;
+}
+
+/* Black and one colour are a mask. Of several colours, as classes have, nothing says which are to
+ * be ignored. A few pixels are noise. */
+static enum err_code mask_check_colours(const char *path, const struct image *img, struct err *e)
 {
     const size_t n = img->channels < 3 ? 0 : (size_t)img->width_px * img->height_px;
+    const uint8_t *colour = NULL;
+    size_t coloured = 0, other = 0;
     for (size_t i = 0; i < n; i++) {
         const uint8_t *p = img->px + i * img->channels;
-        if (abs(p[0] - p[1]) >= MASK_COLOUR || abs(p[1] - p[2]) >= MASK_COLOUR ||
-            abs(p[0] - p[2]) >= MASK_COLOUR)
-            return err_set(e, ERR_DATA,
-                           "%s: has colours, (%d, %d, %d) for one, as a picture of classes has: "
-                           "write a mask that is black where the photograph is to be ignored and "
-                           "white elsewhere",
-                           path, p[0], p[1], p[2]);
+        if (abs(p[0] - p[1]) < MASK_COLOUR && abs(p[1] - p[2]) < MASK_COLOUR &&
+            abs(p[0] - p[2]) < MASK_COLOUR)
+            continue;
+        colour = colour ? colour : p;
+        coloured++;
     }
-    return ERR_OK;
+    for (size_t i = 0; colour && i < n; i++)
+        other += mask_value(img, i) >= MASK_COLOUR &&
+                 mask_apart(img->px + i * img->channels, colour, MASK_COLOUR);
+    if (coloured <= n / MASK_FEW || other <= n / MASK_FEW)
+        return ERR_OK;
+    return err_set(e, ERR_DATA,
+                   "%s: has several colours, (%d, %d, %d) for one, as a picture of classes has: "
+                   "write a mask that is black where the photograph is to be ignored and white "
+                   "elsewhere",
+                   path, colour[0], colour[1], colour[2]);
 }
 
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
@@ -87,7 +116,7 @@ enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px,
     *out = (struct image){0};
     enum err_code rc = image_read(path, NULL, &img, e);
     if (!rc)
-        rc = mask_check_grey(path, &img, e);
+        rc = mask_check_colours(path, &img, e);
     if (!rc)
         return mask_take(path, &img, mask_use_from(path, &img), width_px, height_px, out, e);
     image_free(&img);

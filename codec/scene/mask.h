@@ -26,7 +26,8 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
                         struct err *e) ERR_USE;
 /* Reads a mask: one channel, 255 = use, 0 = ignore. The first of a process that has greys from 1 to
  * 127 alone is reported: it masks nothing. Free it with image_free. ERR_DATA names the
- * file: the mask has another size. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as in image_read. */
+ * file: the mask has another size, or several colours. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as
+ * in image_read. */
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
                         struct err *e) ERR_USE;
 /* Whether all of it is ignored. */

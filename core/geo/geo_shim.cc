@@ -144,7 +144,7 @@ try {
         return open_grid(name, stem.substr(0, stem.size() - 4), out, e);
     if (!plain)
         folder = path.substr(0, slash);
-    if (ends_with(stem, ".pgm")) {
+    if (stem.size() > 4 && stem.compare(stem.size() - 4, 4, ".pgm") == 0) { // GeographicLib adds it
         folder = folder.empty() ? "." : folder;
         stem.resize(stem.size() - 4);
     }

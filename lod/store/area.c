@@ -160,6 +160,7 @@ static bool area_add_ring(struct area *a, const json_t *ring, size_t *room, stru
         return false;
     for (size_t i = 0; i + 1 < n; i++) {
         struct area_edge *edge = &a->edges[a->n_edges++];
+        edge->first = false;
         for (size_t k = 0; k < 2; k++) {
             const json_t *at = json_array_get(ring, i + k);
             double lon = json_number_value(json_array_get(at, 0)),
@@ -214,8 +215,11 @@ static enum err_code area_add_layer(struct area *a, const json_t *feature, bool 
     a->edges = edges;
     for (size_t i = 0; *ok && i < json_array_size(polygons); i++) {
         const json_t *polygon = json_array_get(polygons, i);
+        const size_t first = a->n_edges;
         for (size_t r = 0; *ok && r < json_array_size(polygon); r++)
             *ok = area_add_ring(a, json_array_get(polygon, r), &room, &box);
+        if (*ok && a->n_edges > first)
+            a->edges[first].first = true;
     }
     if (!*ok) {
         a->n_edges = before;
@@ -325,6 +329,8 @@ static bool area_layer_holds(const struct area *a, size_t layer, const double at
     bool in = false;
     for (size_t i = a->layer[layer]; i < a->layer[layer + 1]; i++) {
         const double *p = a->edges[i].from, *q = a->edges[i].to;
+        if (in && a->edges[i].first)
+            return true;
         if ((p[1] > at[1]) != (q[1] > at[1]) &&
             at[0] < p[0] + (at[1] - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
             in = !in;
@@ -382,31 +388,47 @@ static void area_mask_tiles(const struct area *a, const double corner[8], uint32
         }
 }
 
-enum { AREA_TURN = 2 }; /* beside the 1 of what is held */
+enum { AREA_TURN = 2, AREA_IN = 4 }; /* beside the 1 of what is held */
 
-/* One row, even-odd: every edge that it crosses turns what lies right of the crossing. What is not
- * in the outline goes. */
+/* A polygon's crossings become its pixels. */
+static void area_mask_polygon(uint32_t w, uint8_t *in)
+{
+    bool inside = false;
+    for (uint32_t x = 0; x < w; x++) {
+        inside ^= (in[x] & AREA_TURN) != 0;
+        in[x] = (uint8_t)((in[x] & ~AREA_TURN) | (inside ? AREA_IN : 0));
+    }
+}
+
+/* One row. Of a polygon every edge that the row crosses turns what lies right of the crossing. What
+ * is in none of the outline's polygons goes. */
 static void area_mask_row(const struct area *a, size_t layer, const double left[2],
                           const double right[2], uint32_t w, uint8_t *in)
 {
     double d[2] = {right[0] - left[0], right[1] - left[1]}, length2 = d[0] * d[0] + d[1] * d[1];
-    uint8_t held = 0;
+    bool crossed = false;
     for (size_t i = a->layer[layer]; i < a->layer[layer + 1]; i++) {
         const double *p = a->edges[i].from, *q = a->edges[i].to;
         double p_side = d[0] * (p[1] - left[1]) - d[1] * (p[0] - left[0]),
                q_side = d[0] * (q[1] - left[1]) - d[1] * (q[0] - left[0]);
+        if (crossed && a->edges[i].first) {
+            area_mask_polygon(w, in);
+            crossed = false;
+        }
         if ((p_side > 0) == (q_side > 0))
             continue;
         double t = p_side / (p_side - q_side), u = p[0] + t * (q[0] - p[0]),
                v = p[1] + t * (q[1] - p[1]);
         double x = ceil((d[0] * (u - left[0]) + d[1] * (v - left[1])) / length2 * w - 0.5);
-        if (x < w)
+        if (x < w) {
             in[x > 0 ? (size_t)x : 0] ^= AREA_TURN;
+            crossed = true;
+        }
     }
-    for (uint32_t x = 0; x < w; x++) {
-        held ^= in[x] / AREA_TURN;
-        in[x] &= held;
-    }
+    if (crossed)
+        area_mask_polygon(w, in);
+    for (uint32_t x = 0; x < w; x++)
+        in[x] = (in[x] & 1) && (in[x] & AREA_IN);
 }
 
 size_t area_mask(const struct area *a, const double corner[8], uint32_t w, uint32_t h, uint8_t *in)

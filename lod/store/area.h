@@ -20,12 +20,14 @@ enum { AREA_LAYERS_MAX = 8 };
 
 struct area_edge { /* edge of an outline, in the Mercator square (key_place) */
     double from[2], to[2];
+    bool first; /* of its polygon, whose edges follow each other */
 };
 struct area {                  /* {0} is empty; free with area_free */
     const struct store *store; /* borrowed */
     bool *in;                  /* by index into store_tiles: was the tile surveyed? */
     size_t n_in;
-    /* Outlines, each by the even-odd rule. Ground inside all of them was surveyed. The first is the
+    /* Outlines, each of polygons that may overlap. A polygon has holes by the even-odd rule of its
+     * rings. Ground inside all outlines was surveyed. The first is the
      * store's footprint; if there is none (by_tiles), `in` decides instead. The others are the
      * polygons that the store was clipped to. */
     struct area_edge *edges; /* NULL: none */

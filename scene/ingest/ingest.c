@@ -58,7 +58,6 @@ static enum err_code ingest_for_photos(struct ingest *g, const char *what,
 
 /* ---- the photographs ---- */
 
-/* A relative path that stays below its folder. */
 /* Also by a drive's letter or a share, as in models that were made on Windows. */
 static bool ingest_name_is_absolute(const char *s)
 {
@@ -66,6 +65,7 @@ static bool ingest_name_is_absolute(const char *s)
            (s[0] && s[1] == ':' && (s[2] == '/' || s[2] == '\\'));
 }
 
+/* A relative path that stays below its folder. */
 static bool ingest_name_is_safe(const char *s)
 {
     if (ingest_name_is_absolute(s))

@@ -194,13 +194,30 @@ static void drone_take(struct ingest_photo *p, enum ingest_altitude from, bool a
         p->gps.has_altitude = false;
 }
 
+/* XMP's absolute altitude minus the barometer's height, median of the flight's photographs by RTK;
+ * NaN: none has both. */
+static double drone_rtk_level(const struct ingest *g, uint32_t flight, double *scratch)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const struct drone_meta *d = &g->photos[i].drone;
+        if (drone_counts(&g->photos[i], flight) && d->ellipsoidal && d->has_absolute &&
+            d->has_relative)
+            scratch[n++] = d->absolute_m - d->relative_m;
+    }
+    return n ? sort_median(scratch, n) : (double)NAN;
+}
+
 /* Whether the altitude has another reference than those of the flight. Where most of the flight's
  * are by RTK and EXIF's count all the same, they are alike. EXIF's that is far from RTK's is not by
- * RTK. */
+ * RTK. Without a flag of RTK, what keeps RTK's level above the barometer is alike. */
 static bool drone_apart(const struct ingest_photo *p, enum ingest_altitude from,
-                        const struct drone_sources *s)
+                        const struct drone_sources *s, double rtk_level_m)
 {
     const struct drone_meta *d = &p->drone;
+    if (from == INGEST_ALTITUDE_RTK && !d->ellipsoidal && d->has_absolute && d->has_relative &&
+        fabs(d->absolute_m - d->relative_m - rtk_level_m) < drone_apart_m)
+        return false;
     const bool rtk = d->ellipsoidal, far = p->gps.has_altitude && d->has_absolute &&
                                            fabs(p->gps.alt_m - d->absolute_m) > drone_apart_m;
     return from == INGEST_ALTITUDE_RTK              ? !rtk
@@ -217,11 +234,12 @@ static bool drone_use(struct ingest *g, uint32_t flight, enum ingest_altitude fr
                       const struct drone_sources *s, double *scratch)
 {
     double level_m = 0;
+    const double rtk_level_m = drone_rtk_level(g, flight, scratch);
     for (size_t i = 0; i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
         if (!drone_counts(p, flight))
             continue;
-        const bool apart = drone_apart(p, from, s);
+        const bool apart = drone_apart(p, from, s, rtk_level_m);
         drone_take(p, from, !s->absolute_flat || from >= INGEST_ALTITUDE_TAKEOFF);
         p->apart = apart && p->gps.has_altitude;
         p->gps.has_altitude = p->gps.has_altitude && !apart;

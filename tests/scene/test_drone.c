@@ -189,7 +189,8 @@ struct flight {
     double tilt_deg;                /* of all gimbals, to the east; NAN: not written */
     double wobble_deg;              /* of each */
     bool rtk;
-    int odd; /* every such photograph, or the last ones if < 0, lost RTK, or alone has it */
+    int odd;    /* every such photograph, or the last ones if < 0, lost RTK, or alone has it */
+    bool alike; /* theirs are RTK's altitudes all the same, without the flag */
 };
 
 static bool is_odd(const struct flight *f, size_t i, size_t n)
@@ -214,9 +215,9 @@ static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t 
     if (isfinite(f->absolute_m))
         buf_printf(out, "drone-dji:AbsoluteAltitude=\"%+.3f\" ",
                    origin_h + center[2] - (f->flat ? TAKE_OFF_M : 0) +
-                       (!odd     ? 0
-                        : f->rtk ? -ODD_M
-                                 : ODD_M) +
+                       (!odd || f->alike ? 0
+                        : f->rtk         ? -ODD_M
+                                         : ODD_M) +
                        f->absolute_m * rng_normal(5, 1, i));
     if (f->rtk != odd)
         buf_printf(out, "drone-dji:RtkFlag=\"50\" drone-dji:AltitudeType=\"RtkAlt\" ");
@@ -405,6 +406,11 @@ static void rtk_comes_and_goes(void **state)
         {"rtk-lost", "rtk", "ellipsoid", {.rtk = true, .odd = 5, .barometer_m = 0.1}, 0.05},
         {"rtk-lost-third", "rtk", "ellipsoid", {.rtk = true, .odd = 3, .barometer_m = 0.1}, 0.05},
         {"rtk-lost-end", "rtk", "ellipsoid", {.rtk = true, .odd = -15, .barometer_m = 0.1}, 0.05},
+        {"rtk-unflagged",
+         "rtk",
+         "ellipsoid",
+         {.rtk = true, .odd = 3, .alike = true, .barometer_m = 0.1},
+         0.05},
         {"rtk-found",
          "exif",
          "sea-exif",
@@ -431,7 +437,8 @@ static void rtk_comes_and_goes(void **state)
         struct flight f = cases[c].flight;
         json_t *r;
         double up_m, tilt;
-        const bool level = !f.rtk && isfinite(f.barometer_m); /* gives all an altitude */
+        /* the barometer gives all an altitude, or shows that theirs are RTK's */
+        const bool level = (!f.rtk && isfinite(f.barometer_m)) || f.alike;
         size_t i, n, count = 0;
         const json_t *photo;
         f.tilt_deg = (double)NAN;

@@ -278,7 +278,7 @@ static void events_are_matched_by_time(void **state)
         assert_int_equal(photos[i].position, i + 3);
     double first = p.list[0].time_s;
     positions_free(&p);
-    for (size_t k = 0; k < 2; k++) { /* RTKLIB's option out-fieldsep */
+    for (size_t k = 0; k < 2; k++) { /* as a spreadsheet saves it */
         for (char *text = (char *)b.data; *text; text++)
             *text = *text == (k ? ',' : ' ') ? (k ? ';' : ',') : *text;
         put("separated.pos", (const char *)b.data, path);

@@ -93,7 +93,8 @@ static void dark_masks_have_numbers(void **state)
     kit_rmdir(dir);
 }
 
-/* Of classes in colours nothing says which are to be ignored. Noise of a camera's white is grey. */
+/* Of classes in colours nothing says which are to be ignored. Black and one colour are a mask, and
+ * a tint is grey. */
 static void colours_are_no_mask(void **state)
 {
     enum { W = 8, H = 4 };
@@ -108,8 +109,16 @@ static void colours_are_no_mask(void **state)
     for (size_t i = 0; i < W * H; i++)
         memcpy(img.px + 3 * i, i % 5 ? house : road, 3);
     kit_ok(image_write(path, &img, 0, NULL, &e), e);
-    kit_fails(mask_read(path, W, H, &out, &e), ERR_DATA, e, "has colours, (128, 64, 128)");
+    kit_fails(mask_read(path, W, H, &out, &e), ERR_DATA, e, "has several colours, (128, 64, 128)");
     assert_null(out.px);
+    for (size_t i = 0; i < W * H; i++)
+        memcpy(img.px + 3 * i, i % 5 ? (const uint8_t[3]){0, 0, 200} : (const uint8_t[3]){0, 0, 0},
+               3);
+    kit_ok(image_write(path, &img, 0, NULL, &e), e);
+    kit_ok(mask_read(path, W, H, &out, &e), e);
+    for (size_t i = 0; i < W * H; i++)
+        assert_int_equal(out.px[i], i % 5 ? 255 : 0);
+    image_free(&out);
     for (size_t i = 0; i < W * H; i++)
         memcpy(img.px + 3 * i, i % 5 ? white : (const uint8_t[3]){0, 0, 0}, 3);
     kit_ok(image_write(path, &img, 0, NULL, &e), e);

@@ -327,6 +327,7 @@ static void test_check_and_exit_codes(void **state)
         {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},
         {EX_CONFIG, "replaces no trace", {"--check", "--trace", conf}},
+        {EX_CONFIG, "cannot be written there", {"--check", "--trace", "/nonexistent/t.json"}},
         {0, "", {"--check", "--trace", trace}},
         {EX_USAGE, "--prot", {"--prot", "1"}},
         {EX_CONFIG, "port", {"--config", conf}},
@@ -342,6 +343,7 @@ static void test_check_and_exit_codes(void **state)
                      (char *)said.data);
         buf_free(&said);
     }
+    assert_false(file_exists(trace));
     close(busy);
 }
 
