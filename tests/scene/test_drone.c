@@ -394,47 +394,44 @@ static void rtk_counts_from_the_ellipsoid(void **state)
     json_decref(r);
 }
 
+static const struct {
+    const char *name, *altitudes, *heights;
+    struct flight flight;
+    double tolerance_m;
+} rtk_cases[] = {
+    {"rtk-lost", "rtk", "ellipsoid", {.rtk = true, .odd = 5, .barometer_m = 0.1}, 0.05},
+    {"rtk-lost-third", "rtk", "ellipsoid", {.rtk = true, .odd = 3, .barometer_m = 0.1}, 0.05},
+    {"rtk-lost-end", "rtk", "ellipsoid", {.rtk = true, .odd = -15, .barometer_m = 0.1}, 0.05},
+    {"rtk-unflagged",
+     "rtk",
+     "ellipsoid",
+     {.rtk = true, .odd = 3, .alike = true, .barometer_m = 0.1},
+     0.05},
+    {"rtk-found", "exif", "sea-exif", {.exif = APART, .odd = 3, .barometer_m = (double)NAN}, 1.5},
+    {"rtk-found-end",
+     "exif",
+     "sea-exif",
+     {.exif = APART, .odd = -15, .barometer_m = (double)NAN},
+     1.5},
+    {"rtk-found-xmp",
+     "xmp",
+     "sea-exif",
+     {.exif = ABSENT, .odd = 3, .barometer_m = (double)NAN},
+     0.05},
+    {"rtk-found-barometer",
+     "barometer",
+     "sea-exif",
+     {.exif = APART, .odd = 3, .barometer_m = 0.1},
+     1.5},
+};
+
 /* RTK comes and goes: photographs whose altitude has another reference than the others' stay, their
  * altitude does not count, and the frame is that of the others. */
 static void rtk_comes_and_goes(void **state)
 {
-    static const struct {
-        const char *name, *altitudes, *heights;
-        struct flight flight;
-        double tolerance_m;
-    } cases[] = {
-        {"rtk-lost", "rtk", "ellipsoid", {.rtk = true, .odd = 5, .barometer_m = 0.1}, 0.05},
-        {"rtk-lost-third", "rtk", "ellipsoid", {.rtk = true, .odd = 3, .barometer_m = 0.1}, 0.05},
-        {"rtk-lost-end", "rtk", "ellipsoid", {.rtk = true, .odd = -15, .barometer_m = 0.1}, 0.05},
-        {"rtk-unflagged",
-         "rtk",
-         "ellipsoid",
-         {.rtk = true, .odd = 3, .alike = true, .barometer_m = 0.1},
-         0.05},
-        {"rtk-found",
-         "exif",
-         "sea-exif",
-         {.exif = APART, .odd = 3, .barometer_m = (double)NAN},
-         1.5},
-        {"rtk-found-end",
-         "exif",
-         "sea-exif",
-         {.exif = APART, .odd = -15, .barometer_m = (double)NAN},
-         1.5},
-        {"rtk-found-xmp",
-         "xmp",
-         "sea-exif",
-         {.exif = ABSENT, .odd = 3, .barometer_m = (double)NAN},
-         0.05},
-        {"rtk-found-barometer",
-         "barometer",
-         "sea-exif",
-         {.exif = APART, .odd = 3, .barometer_m = 0.1},
-         1.5},
-    };
     log_set_level(LOG_ERROR);
-    for (size_t c = 0; c < sizeof cases / sizeof *cases; c++) {
-        struct flight f = cases[c].flight;
+    for (size_t c = 0; c < sizeof rtk_cases / sizeof *rtk_cases; c++) {
+        struct flight f = rtk_cases[c].flight;
         json_t *r;
         double up_m, tilt;
         /* the barometer gives all an altitude, or shows that theirs are RTK's */
@@ -443,7 +440,7 @@ static void rtk_comes_and_goes(void **state)
         const json_t *photo;
         f.tilt_deg = (double)NAN;
         f.absolute_m = 0.02;
-        ingest_flight(cases[c].name, &f, 0, false, &r, &up_m, &tilt);
+        ingest_flight(rtk_cases[c].name, &f, 0, false, &r, &up_m, &tilt);
         const json_t *photos = json_object_get(r, "photos");
         n = json_array_size(photos);
         json_array_foreach(photos, i, photo)
@@ -454,11 +451,11 @@ static void rtk_comes_and_goes(void **state)
             assert_int_equal(json_integer_value(json_object_get(photo, "flight")), 1);
             assert_int_equal(json_is_number(json_object_get(photo, "residual_m")), counts);
         }
-        assert_true(n > 30 && number(r, "altitudes", cases[c].altitudes) == (double)count);
+        assert_true(n > 30 && number(r, "altitudes", rtk_cases[c].altitudes) == (double)count);
         assert_true((double)count == json_number_value(json_object_get(r, "with_gps")));
-        assert_string_equal(json_string_value(json_object_get(r, "heights")), cases[c].heights);
-        printf("drone: %s: %.2f m off, tilted by %.3f deg\n", cases[c].name, up_m, tilt);
-        assert_true(fabs(up_m) < cases[c].tolerance_m && tilt < 1);
+        assert_string_equal(json_string_value(json_object_get(r, "heights")), rtk_cases[c].heights);
+        printf("drone: %s: %.2f m off, tilted by %.3f deg\n", rtk_cases[c].name, up_m, tilt);
+        assert_true(fabs(up_m) < rtk_cases[c].tolerance_m && tilt < 1);
         json_decref(r);
     }
     log_set_level(LOG_WARN);
