@@ -94,7 +94,7 @@ inside rw sh -euc '
     citysplat tile scene -o /stores/city.tiles -q
     citysplat ortho /stores/city.tiles -o ortho.tif -q # the plug-in with GDAL
     [ -s ortho.tif ]' || fail 'the program of the image'
-port=$((20000 + RANDOM % 20000))
+port=$((20000 + RANDOM % 12000))
 inside ro "${entry[@]}" --port $port >"$work/served" 2>&1 &
 pid=$!
 n=0

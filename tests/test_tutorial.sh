@@ -16,7 +16,7 @@ if [ "${TUTORIAL_COLMAP:-}" != real ]; then
     ln -s "${FAKE_COLMAP:?the stand-in for COLMAP}" "$work/bin/colmap"
     export FAKE_TRUTH=$work/try/example/sparse/0
 fi
-port=$((20000 + RANDOM % 20000))
+port=$((20000 + RANDOM % 12000))
 {
     echo "set -eum; cd '$work/try'; trap 'kill \$(jobs -p) 2>/dev/null || true' EXIT; set -x"
     awk '/^```sh$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" | sed -E "s/127\.0\.0\.1:8080/127.0.0.1:$port/g; s/^(citysplat serve [^&]*)&/\1--port $port \&/"

@@ -34,7 +34,7 @@ inside 'build/release/citysplat info --device auto'
 
 # ---- what it serves
 
-port=$((20000 + RANDOM % 20000))
+port=$((20000 + RANDOM % 12000))
 inside "exec build/release/citysplat serve out/demo/demo.tiles --port $port" >"$work/served" 2>&1 &
 pid=$!
 n=0

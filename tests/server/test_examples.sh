@@ -19,7 +19,7 @@ run "$CITYSPLAT_BIN" train "$work/scene" --iterations 120 --level-count 2 --budg
 for name in demo light; do run "$CITYSPLAT_BIN" tile "$work/scene" --name "$name" -o "$work/$name.tiles"; done
 
 mkdir "$work/state"
-port=$((20000 + RANDOM % 20000)) admin=$((40001 + RANDOM % 9000))
+port=$((20000 + RANDOM % 12000)) admin=$((port + 1)) # below those that the kernel gives to others
 "$CITYSPLAT_BIN" serve "$work/demo.tiles" "$work/light.tiles" --port "$port" --admin "127.0.0.1:$admin" --state-dir "$work/state" >"$work/served" 2>&1 &
 server=$!
 for _ in $(seq 100); do kill -0 "$server" 2>/dev/null || { cat "$work/served"; fail "serve"; }; curl -fsS "http://127.0.0.1:$port/readyz" >/dev/null 2>&1 && break; sleep 0.1; done
