@@ -6,6 +6,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "core/base.h"
@@ -50,7 +51,78 @@ static OGRSpatialReferenceH crs_reference(int epsg)
     return r;
 }
 
-enum err_code crs_open(int epsg, struct crs **out, struct err *e)
+static int crs_code(OGRSpatialReferenceH r, const char *node)
+{
+    const char *code = gdal->OSRGetAuthorityCode(r, node);
+    return code ? (int)strtol(code, NULL, 10) : 0;
+}
+
+enum err_code crs_split(int *epsg, int *heights, struct err *e)
+{
+    if (!*epsg || *epsg == 4326) /* the library is not needed */
+        return ERR_OK;
+    enum err_code rc = gdal_load(e);
+    if (rc)
+        return rc;
+    gdal_errors_keep();
+    OGRSpatialReferenceH r = crs_reference(*epsg);
+    const bool places = r && (gdal->OSRIsProjected(r) || gdal->OSRIsGeographic(r));
+    if (places && gdal->OSRGetAxesCount(r) == 3) {
+        const int vertical = crs_code(r, "VERT_CS"), up = vertical ? vertical : CRS_ELLIPSOIDAL;
+        const int plane = gdal->OSRDemoteTo2D(r, NULL) == OGRERR_NONE ? crs_code(r, NULL) : 0;
+        if (!plane)
+            rc = err_set(e, ERR_ARG,
+                         "EPSG:%d: its plane has no code: give the codes of plane and heights, "
+                         "e.g. EPSG:25832+7837",
+                         *epsg);
+        else if (*heights && *heights != up)
+            rc = err_set(e, ERR_ARG,
+                         "EPSG:%d has heights of EPSG:%d, and EPSG:%d is named for them: name one "
+                         "of them, with the plane's code EPSG:%d",
+                         *epsg, up, *heights, plane);
+        if (!rc) {
+            *epsg = plane;
+            *heights = up;
+        }
+    }
+    if (r)
+        gdal->OSRDestroySpatialReference(r);
+    gdal_errors_show();
+    return rc;
+}
+
+static bool crs_degrees(OGRSpatialReferenceH r)
+{
+    return gdal->OSRIsGeographic(r) && fabs(gdal->OSRGetAngularUnits(r, NULL) - M_PI / 180) < 1e-12;
+}
+
+static enum err_code crs_check_axes(const struct crs *c, bool degrees, struct err *e)
+{
+    int plane = c->epsg, heights = 0;
+    const bool metres = gdal->OSRIsProjected(c->plane) &&
+                        fabs(gdal->OSRGetLinearUnits(c->plane, NULL) - 1.0) <= 1e-9;
+    if (degrees && !metres && !crs_degrees(c->plane))
+        return err_set(e, ERR_ARG,
+                       "EPSG:%d: neither a projection in metres nor longitude and latitude in "
+                       "degrees: convert the coordinates to such a system, e.g. by gdaltransform",
+                       c->epsg);
+    if (!degrees && !metres)
+        return err_set(e, ERR_ARG,
+                       "EPSG:%d: not a projection in metres; use one, e.g. 326xx or 327xx (UTM) or "
+                       "the country's own",
+                       c->epsg);
+    if (!degrees && gdal->OSRGetAxesCount(c->plane) == 3) {
+        enum err_code rc = crs_split(&plane, &heights, e);
+        return !rc ? err_set(e, ERR_ARG,
+                             "EPSG:%d: has heights of its own, and heights of a map are those of "
+                             "its scene: give the plane alone, EPSG:%d",
+                             c->epsg, plane)
+                   : rc;
+    }
+    return ERR_OK;
+}
+
+static enum err_code crs_open_as(int epsg, bool degrees, struct crs **out, struct err *e)
 {
     *out = NULL;
     enum err_code rc = gdal_load(e);
@@ -68,12 +140,8 @@ enum err_code crs_open(int epsg, struct crs **out, struct err *e)
     else if (!c->plane)
         rc = err_set(e, ERR_ARG,
                      "EPSG:%d: no such coordinate system; e.g. 32632 is UTM zone 32 north", epsg);
-    else if (!gdal->OSRIsProjected(c->plane) ||
-             fabs(gdal->OSRGetLinearUnits(c->plane, NULL) - 1.0) > 1e-9)
-        rc = err_set(e, ERR_ARG,
-                     "EPSG:%d: not a projection in metres; use one, e.g. 326xx or 327xx (UTM) or "
-                     "the country's own",
-                     epsg);
+    else
+        rc = crs_check_axes(c, degrees, e);
     if (!rc) {
         c->to = gdal->OCTNewCoordinateTransformation(c->wgs84, c->plane);
         c->from = gdal->OCTNewCoordinateTransformation(c->plane, c->wgs84);
@@ -86,6 +154,16 @@ enum err_code crs_open(int epsg, struct crs **out, struct err *e)
         crs_close(&c);
     *out = c;
     return rc;
+}
+
+enum err_code crs_open(int epsg, struct crs **out, struct err *e)
+{
+    return crs_open_as(epsg, false, out, e);
+}
+
+enum err_code crs_open_places(int epsg, struct crs **out, struct err *e)
+{
+    return crs_open_as(epsg, true, out, e);
 }
 
 void crs_close(struct crs **cp)
@@ -110,6 +188,11 @@ void crs_close(struct crs **cp)
 int crs_epsg(const struct crs *c)
 {
     return c->epsg;
+}
+
+bool crs_is_degrees(const struct crs *c)
+{
+    return gdal->OSRIsGeographic(c->plane);
 }
 
 double crs_outside_deg(const struct crs *c, double lon_deg, double lat_deg)
@@ -144,12 +227,16 @@ enum err_code crs_set_vertical(struct crs *c, int epsg, struct err *e)
 {
     OGRSpatialReferenceH up = crs_reference(epsg), both = gdal->OSRNewSpatialReference(NULL);
     const char *name = up ? gdal->OSRGetName(up) : NULL;
+    OGRAxisOrientation axis = OAO_Other;
     char text[200];
     enum err_code rc = ERR_OK;
     if (!both)
         rc = err_set(e, ERR_MEM, "EPSG:%d: out of memory", epsg);
     else if (!name || !gdal->OSRIsVertical(up))
         rc = err_set(e, ERR_IO, "EPSG:%d: PROJ's database has no such heights", epsg);
+    else if (fabs(gdal->OSRGetLinearUnits(up, NULL) - 1.0) > 1e-9 ||
+             !gdal->OSRGetAxis(up, NULL, 0, &axis) || axis != OAO_Up)
+        rc = err_set(e, ERR_ARG, "EPSG:%d (%s): not heights in metres: convert them", epsg, name);
     if (!rc)
         snprintf(text, sizeof text, "%s + %s", gdal->OSRGetName(c->plane), name);
     if (!rc && gdal->OSRSetCompoundCS(both, text, c->plane, up) != OGRERR_NONE)

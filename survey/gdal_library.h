@@ -22,7 +22,7 @@
 
 #define GDAL_LIBRARY_FILE "citysplat-gdal.so"
 #define GDAL_LIBRARY_SYMBOL "gdal_library_table"
-#define GDAL_LIBRARY_VERSION 1u /* changes with every change of this table */
+#define GDAL_LIBRARY_VERSION 2u /* changes with every change of this table */
 
 /* Declared in ogrsf_frmts.h too, but that is C++. */
 void RegisterOGRGeoJSON(void);

@@ -13,7 +13,7 @@
 static enum err_code control_unproject_one(int epsg, double *x, double *y, struct err *e)
 {
     struct crs *crs = NULL;
-    enum err_code rc = crs_open(epsg, &crs, e);
+    enum err_code rc = crs_open_places(epsg, &crs, e);
     if (!rc)
         rc = crs_unproject(crs, 1, x, y, e);
     crs_close(&crs);
@@ -61,9 +61,14 @@ enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, 
                      "%s: does not say its coordinate system in words known here: give it with "
                      "--gcp-epsg CODE, e.g. 32632, or 4326 for longitude and latitude",
                      path);
+    if (!rc)
+        rc = crs_split(&epsg, &l->heights_epsg, e);
     if (!rc && epsg != GCP_LONLAT)
-        rc = crs_open(epsg, &crs, e);
-    for (size_t i = 0; !rc && !crs && i < l->n; i++)
+        rc = crs_open_places(epsg, &crs, e);
+    if (epsg && rc)
+        err_add(e, "%s", path);
+    l->degrees = !rc && (!crs || crs_is_degrees(crs));
+    for (size_t i = 0; !rc && l->degrees && i < l->n; i++)
         if (fabs(l->gcps[i].at[0]) > 360 || fabs(l->gcps[i].at[1]) > 90)
             rc =
                 err_set(e, ERR_ARG,

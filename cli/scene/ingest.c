@@ -5,6 +5,8 @@
 #include "scene/ingest/ingest.h"
 
 #include <math.h>
+#include <stdio.h>
+#include <string.h>
 
 #include "cli/base/cli.h"
 #include "cli/scene/control.h"
@@ -13,11 +15,11 @@
 #include "scene/control/positions.h"
 #include "survey/crs.h"
 
-/* Is it a vertical system? 4979 has ellipsoidal heights. */
+/* Is it a vertical system? */
 static enum err_code ingest_check_heights(int epsg, struct err *e)
 {
     struct crs *crs = NULL;
-    if (epsg == 4979)
+    if (epsg == CRS_ELLIPSOIDAL)
         return ERR_OK;
     enum err_code rc = crs_open(32632, &crs, e);
     if (!rc)
@@ -39,6 +41,26 @@ static enum err_code ingest_read_gcps(const struct ingest_config *cfg, struct gc
     return rc;
 }
 
+/* Opens the system of positions; *crs is NULL for WGS 84. Heights that it says, in its code or
+ * beside it, become those of p. */
+static enum err_code ingest_open_system(const struct ingest_config *cfg, struct positions *p,
+                                        int epsg, struct crs **crs, struct err *e)
+{
+    int heights = !strcmp(p->heights, "ellipsoid") ? CRS_ELLIPSOIDAL : heights_epsg(p->heights);
+    enum err_code rc = crs_split(&epsg, &heights, e);
+    if (!rc && heights && !cfg->heights)
+        rc = ingest_check_heights(heights, e);
+    if (!rc && heights == CRS_ELLIPSOIDAL)
+        snprintf(p->heights, sizeof p->heights, "ellipsoid");
+    else if (!rc && heights)
+        snprintf(p->heights, sizeof p->heights, "EPSG:%d", heights);
+    if (!rc && epsg != POSITIONS_LONLAT)
+        rc = crs_open_places(epsg, crs, e);
+    if (rc)
+        err_add(e, "%s", cfg->positions);
+    return rc;
+}
+
 /* Positions of photographs in longitude and latitude. */
 static enum err_code ingest_read_positions(const struct ingest_config *cfg, struct positions *p,
                                            struct err *e)
@@ -51,14 +73,14 @@ static enum err_code ingest_read_positions(const struct ingest_config *cfg, stru
                      "%s: the columns are not longitude and latitude: give their system with "
                      "--positions-epsg CODE",
                      cfg->positions);
-    if (!rc && epsg != POSITIONS_LONLAT)
-        rc = crs_open(epsg, &crs, e);
+    if (!rc)
+        rc = ingest_open_system(cfg, p, epsg, &crs, e);
     for (size_t i = 0; !rc && i < p->n; i++) {
         double *at = p->list[i].at;
-        if (crs)
-            rc = crs_unproject(crs, 1, &at[0], &at[1], e);
-        else if (!(fabs(at[0]) <= 180 && fabs(at[1]) <= 90))
+        if ((!crs || crs_is_degrees(crs)) && !(fabs(at[0]) <= 180 && fabs(at[1]) <= 90))
             rc = err_set(e, ERR_ARG, "%.9g %.9g is no longitude and latitude", at[0], at[1]);
+        else if (crs)
+            rc = crs_unproject(crs, 1, &at[0], &at[1], e);
         if (rc)
             err_add(e, "%s: line %zu", cfg->positions, p->list[i].line);
     }

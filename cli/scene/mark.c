@@ -16,6 +16,7 @@
 #include "scene/ingest/ingest.h"
 #include "server/base/config.h"
 #include "server/http/static.h"
+#include "survey/crs.h"
 
 struct mark_options {
 #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -49,13 +50,19 @@ static const struct options_spec mark_spec = {
 /* ---- points and marks ---- */
 
 /* Points and marks of `more` that `l` lacks, by their names. */
-static enum err_code mark_merge(const char *path, struct gcp_list *l, const struct gcp_list *more,
+static enum err_code mark_merge(const char *path, struct gcp_list *l, struct gcp_list *more,
                                 struct err *e)
 {
-    enum err_code rc = ERR_OK;
-    if (l->epsg && more->epsg && l->epsg != more->epsg)
-        return err_set(e, ERR_ARG, "%s: is in EPSG:%d, the list that is continued in EPSG:%d", path,
-                       more->epsg, l->epsg);
+    enum err_code rc = crs_split(&l->epsg, &l->heights_epsg, e);
+    if (!rc)
+        rc = crs_split(&more->epsg, &more->heights_epsg, e);
+    if (!rc && l->epsg && more->epsg && l->epsg != more->epsg)
+        rc = err_set(e, ERR_ARG, "%s: is in EPSG:%d, the list that is continued in EPSG:%d", path,
+                     more->epsg, l->epsg);
+    if (!rc && l->heights_epsg && more->heights_epsg && l->heights_epsg != more->heights_epsg)
+        rc =
+            err_set(e, ERR_ARG, "%s: has heights of EPSG:%d, the list that is continued of EPSG:%d",
+                    path, more->heights_epsg, l->heights_epsg);
     l->epsg = l->epsg ? l->epsg : more->epsg;
     l->heights_epsg = l->heights_epsg ? l->heights_epsg : more->heights_epsg;
     for (size_t i = 0; !rc && i < more->n; i++)

@@ -39,9 +39,10 @@ struct gcp_list { /* {0} is empty; gcp_free */
     size_t n_marks, cap_marks;
     int epsg;         /* of the file; 0: not stated, or not understood */
     int heights_epsg; /* of "EPSG:25832+7837"; 0: not stated */
+    bool degrees;     /* epsg is longitude and latitude, of any datum; by control_unproject */
     char *wkt;        /* well-known text of both systems, by control_unproject; NULL: not known */
-    /* Converts metres of a projected system to longitude and latitude, in place. It is used to find
-     * the cause of errors. NULL: not available. */
+    /* Converts coordinates of a system to longitude and latitude of WGS 84, in place. It is used to
+     * find the cause of errors. NULL: not available. */
     enum err_code (*unproject)(int epsg, double *x, double *y, struct err *e);
 };
 void gcp_free(struct gcp_list *l);

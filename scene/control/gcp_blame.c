@@ -102,7 +102,7 @@ static bool blame_reading(const struct gcp_list *l, double lon, size_t k, struct
         return true;
     }
     k -= PLAIN;
-    if (epsg == GCP_LONLAT || !l->unproject)
+    if (epsg == GCP_LONLAT || l->degrees || !l->unproject) /* degrees have no zones */
         return false;
     if (k < FAMILIES * ZONES) { /* zones of the photographs' longitude and beside it */
         size_t f = k / ZONES;

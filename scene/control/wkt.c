@@ -183,12 +183,22 @@ static int wkt_proj(const char *text)
                : 0;
 }
 
-/* "25832+7837" */
+/* "25832+7837", "25832 + epsg:7837", and of a URN "25832,crs:epsg::7837", whose second code a
+ * version may precede. */
 static bool wkt_pair(const char *text, int *epsg, int *heights)
 {
     *epsg = wkt_number(text, &text);
-    const bool both = *text == '+' && text[1] >= '0' && text[1] <= '9';
-    *heights = both ? wkt_number(text + 1, NULL) : 0;
+    text += strspn(text, " \t");
+    const size_t join = *text == '+' ? 1 : !strncmp(text, ",crs:", 5) ? 5 : 0;
+    text += join + (join ? strspn(text + join, " \t") : 0);
+    const bool named = join && !strncmp(text, "epsg:", 5);
+    if (named) {
+        text += 5;
+        const size_t version = strcspn(text, ":, \t");
+        text += text[version] == ':' ? version + 1 : 0;
+    }
+    const bool both = named || (join && *text >= '0' && *text <= '9');
+    *heights = both ? wkt_number(text, NULL) : 0;
     if (!*epsg || (both && !*heights))
         *epsg = *heights = 0;
     return *epsg > 0;

@@ -375,6 +375,42 @@ static const struct mistake mistakes[] = {
      {"x and y are swapped"},
      false},
     {"latitude first", swapped, 0, "EPSG:4326", FORM_ODM, "", 1, {"x and y are swapped"}, false},
+    {"latitude first of ETRS89",
+     swapped,
+     0,
+     "EPSG:4258",
+     FORM_ODM,
+     "",
+     1,
+     {"x and y are swapped"},
+     false},
+    {"metres as degrees",
+     NULL,
+     EPSG,
+     "EPSG:4258",
+     FORM_ODM,
+     "",
+     2,
+     {"is no longitude and latitude: name the coordinate system"},
+     false},
+    {"heights of two systems",
+     NULL,
+     25832,
+     "EPSG:5555+7837",
+     FORM_ODM,
+     "",
+     2,
+     {"EPSG:5555 has heights of EPSG:5783, and EPSG:7837 is named", "EPSG:25832"},
+     false},
+    {"heights in feet of a code",
+     NULL,
+     EPSG,
+     "EPSG:32632+6360",
+     FORM_ODM,
+     "",
+     2,
+     {"NAVD88 height (ftUS)", "not heights in metres"},
+     false},
     {"feet", feet, EPSG, "EPSG:32632", FORM_ODM, "", 1, {"coordinates are in feet"}, false},
     {"US survey feet",
      us_feet,
@@ -661,6 +697,38 @@ static void mistakes_are_named(void **state)
     assert_int_equal(wrong, 0);
 }
 
+/* Degrees of any datum, and codes of plane and heights in one. */
+static void systems_with_degrees_and_heights_are_read(void **state)
+{
+    static const struct {
+        int epsg; /* 0: degrees */
+        const char *head, *heights;
+    } lists[] = {
+        {0, "EPSG:4258", "unknown"},           {0, "EPSG:4269", "unknown"},
+        {0, "EPSG:4979", "ellipsoid"},         {0, "EPSG:4937", "ellipsoid"},
+        {0, "EPSG:9518", "EPSG:3855"},         {0, "EPSG:4258+7837", "EPSG:7837"},
+        {25832, "EPSG:5555", "EPSG:5783"},     {25832, "EPSG:25832 + EPSG:7837", "EPSG:7837"},
+        {25832, "EPSG:5555+5783", "EPSG:5783"}};
+    static struct row r[ROWS];
+    struct err e = {0};
+    struct buf out = {0};
+    struct scene s;
+    char list[FILE_PATH_MAX], dir[FILE_PATH_MAX];
+    kit_ok(file_join(dir, tmp, "out", &e), e);
+    for (size_t i = 0; i < sizeof lists / sizeof *lists; i++) {
+        list_write(r, survey(1, lists[i].epsg, r), lists[i].head, FORM_ODM, list);
+        int rc = run(list, "", &out);
+        buf_u8(&out, 0);
+        if (rc)
+            fail_msg("%s: %s", lists[i].head, (const char *)out.data);
+        buf_free(&out);
+        kit_ok(scene_read(dir, &s, &e), e);
+        if (strcmp(s.heights, lists[i].heights) || !(check_rmse() < 0.1))
+            fail_msg("%s: heights %s, check points %.4f m", lists[i].head, s.heights, check_rmse());
+        scene_free(&s);
+    }
+}
+
 /* What the robust fit is for: with all points alike, one that is 8 m off spoils everything. */
 static void keeping_a_mistake_costs(void **state)
 {
@@ -782,6 +850,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(mistakes_are_named),
+        cmocka_unit_test(systems_with_degrees_and_heights_are_read),
         cmocka_unit_test(keeping_a_mistake_costs),
         cmocka_unit_test(two_points_are_no_rmse),
         cmocka_unit_test(predicted_errors_are_true),

@@ -129,7 +129,7 @@ static void accuracies_weigh(void **state)
     struct err e = {0};
     struct crs *crs;
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
-    double alike[2], weighed[2], flat[2];
+    double alike[2], weighed[2], flat[2], national[2], degrees[2];
     kit_ok(crs_open(32632, &crs, &e), e);
     buf_printf(&with, "Label,Longitude,Latitude,Ellipsoidal height,Accuracy horizontal (m),"
                       "Accuracy vertical (m)\n");
@@ -164,12 +164,20 @@ static void accuracies_weigh(void **state)
                      0);
     off(flat, heights);
     assert_string_equal(heights, "EPSG:5773");
+    assert_int_equal(ingest("--positions utm.csv --positions-epsg 5555", NULL), 0);
+    off(national, heights);
+    assert_string_equal(heights, "EPSG:5783");
+    assert_int_equal(ingest("--positions with.csv --positions-epsg 4258", NULL), 0);
+    off(degrees, heights);
+    assert_string_equal(heights, "ellipsoid");
     printf("positions: cameras off by %.3f m in plan, %.3f in height; by accuracies %.3f, %.3f; in "
            "UTM %.3f, %.3f\n",
            alike[0], alike[1], weighed[0], weighed[1], flat[0], flat[1]);
     assert_true(weighed[0] < 0.1 * alike[0] && weighed[0] < fine_m);
     assert_true(weighed[1] < 0.2 * alike[1] && weighed[1] < 2 * fine_m);
     assert_true(flat[0] < 2 * fine_m && flat[1] < 2 * fine_m);
+    assert_true(national[0] < 2 * fine_m && national[1] < 2 * fine_m);
+    assert_true(degrees[0] < 2 * fine_m && degrees[1] < 2 * fine_m);
 }
 
 /* DJI's file names photographs by number. */
@@ -456,7 +464,8 @@ static void tables_of_other_programs_are_read(void **state)
         {"+proj=longlat +ellps=bessel +towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7", 0},
         {"+proj=longlat +datum=WGS84 +pm=paris", 0},
         {"urn:ogc:def:crs:EPSG:9.8.1:25832", 25832},
-        {"urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837", 25832},
+        {"EPSG:25832+EPSG:none", 0},
+        {"EPSG:25832 +north first", 25832},
         {"EPSG:99999999999", 0},
         {"EPSG:25832+99999999999", 0},
         {"EPSG:-32632", 0},
@@ -466,6 +475,10 @@ static void tables_of_other_programs_are_read(void **state)
         {"PROJCS[\"WGS 84 / UTM zone 32N\",GEOGCS[\"WGS 84\"]]", 32632},
         {"PROJCS[\"Gauss-Krueger\",GEOGCS[\"WGS 84 UTM 32N\"]]", 0},
         {"x y z", 0}};
+    static const char *const pairs[] = {"urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837",
+                                        "urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG:9.8:7837",
+                                        "EPSG:25832+7837", "EPSG:25832 + 7837",
+                                        "EPSG:25832+EPSG:7837"};
     static const char feet[] = "image,lon,lat,altitude [ft]\nA.jpg,7.5,47.5,984\n";
     struct positions p;
     struct err e = {0};
@@ -500,8 +513,13 @@ static void tables_of_other_programs_are_read(void **state)
     for (size_t i = 0; i < sizeof systems / sizeof *systems; i++) {
         int epsg, heights;
         if (wkt_system(systems[i].text, &epsg, &heights) != (systems[i].epsg > 0) ||
-            epsg != systems[i].epsg)
-            fail_msg("'%s' is %d, not %d", systems[i].text, epsg, systems[i].epsg);
+            epsg != systems[i].epsg || heights)
+            fail_msg("'%s' is %d+%d, not %d", systems[i].text, epsg, heights, systems[i].epsg);
+    }
+    for (size_t i = 0; i < sizeof pairs / sizeof *pairs; i++) {
+        int epsg, heights;
+        if (!wkt_system(pairs[i], &epsg, &heights) || epsg != 25832 || heights != 7837)
+            fail_msg("'%s' is %d+%d", pairs[i], epsg, heights);
     }
     for (int pad = 0; pad < 4000; pad += 40) { /* a text that is too long never loses its end */
         char text[4096];

@@ -365,6 +365,8 @@ static void nonsense_is_refused(void **state)
     struct crs *crs;
     refused(&(struct map_request){.epsg = 4326}, "not a projection in metres");
     refused(&(struct map_request){.epsg = 2263}, "not a projection in metres"); /* feet */
+    refused(&(struct map_request){.epsg = 4258}, "not a projection in metres");
+    refused(&(struct map_request){.epsg = 5555}, "give the plane alone, EPSG:25832");
     refused(&(struct map_request){.epsg = 999999}, "no such coordinate system");
     refused(&(struct map_request){.bbox_deg = elsewhere}, "the area is empty: surveyed is");
     refused(&(struct map_request){.gsd_m = 1e-5}, "from ");
@@ -374,6 +376,8 @@ static void nonsense_is_refused(void **state)
     kit_ok(crs_project(crs, 1, &x, &y, &e), e);
     kit_ok(crs_unproject(crs, 1, &x, &y, &e), e);
     assert_true(fabs(x - 8.68) < 1e-9 && fabs(y - 50.11) < 1e-9);
+    kit_fails(crs_set_vertical(crs, 6360, &e), ERR_ARG, e, "not heights in metres"); /* feet */
+    kit_fails(crs_set_vertical(crs, 5715, &e), ERR_ARG, e, "not heights in metres"); /* depths */
     crs_close(&crs);
     assert_int_equal(crs_utm(-179.9, -10), 32701);
     assert_int_equal(crs_utm(180, 10), 32660);
