@@ -201,50 +201,124 @@ static enum err_code colmap_resolve_images(struct colmap_model *m, struct err *e
     return ERR_OK;
 }
 
-static enum err_code colmap_resolve_tracks(struct colmap_model *m, struct err *e)
+static enum err_code colmap_resolve_track_images(struct colmap_model *m, struct err *e)
 {
-    for (size_t p = 0; p < m->n_points; p++) {
-        const struct colmap_point *pt = &m->points[p];
-        for (size_t k = 0; k < pt->n_track; k++) {
-            struct colmap_track_element *t = &m->tracks[pt->track + k];
+    for (size_t p = 0; p < m->n_points; p++)
+        for (size_t k = 0; k < m->points[p].n_track; k++) {
+            struct colmap_track_element *t = &m->tracks[m->points[p].track + k];
             size_t i = colmap_find_id(m, m->n_images, t->image, colmap_image_id_at);
             if (i == m->n_images)
                 return err_set(
                     e, ERR_FORMAT,
                     "points3D: point %llu refers to image %u, which images does not hold",
-                    (unsigned long long)pt->id, t->image);
-            if (t->obs >= m->images[i].n_obs)
+                    (unsigned long long)m->points[p].id, t->image);
+            t->image = (uint32_t)i;
+        }
+    return ERR_OK;
+}
+
+static enum err_code colmap_check_tracks(const struct colmap_model *m, struct err *e)
+{
+    for (size_t p = 0; p < m->n_points; p++) {
+        const struct colmap_point *pt = &m->points[p];
+        for (size_t k = 0; k < pt->n_track; k++) {
+            const struct colmap_track_element *t = &m->tracks[pt->track + k];
+            const struct colmap_image *im = &m->images[t->image];
+            if (t->obs >= im->n_obs)
                 return err_set(
                     e, ERR_FORMAT,
-                    "points3D: point %llu refers to observation %u of '%.200s', which has %zu",
-                    (unsigned long long)pt->id, t->obs, m->images[i].name, m->images[i].n_obs);
-            if (m->images[i].obs[t->obs].point != (int64_t)p)
+                    "points3D: point %llu refers to observation %u of '%.200s', which has %zu; are "
+                    "the files of one model?",
+                    (unsigned long long)pt->id, t->obs, im->name, im->n_obs);
+            if (im->obs[t->obs].point != (int64_t)p)
                 return err_set(e, ERR_FORMAT,
                                "points3D: point %llu: observation %u of '%.200s' belongs to "
                                "another point; are the "
                                "files of one model?",
-                               (unsigned long long)pt->id, t->obs, m->images[i].name);
-            t->image = (uint32_t)i;
+                               (unsigned long long)pt->id, t->obs, im->name);
         }
     }
+    return ERR_OK;
+}
+
+/* The pixel that pose and lens give a point; false: it lies behind the photograph. */
+static bool colmap_place(const struct colmap_model *m, const struct colmap_image *im,
+                         const double xyz[3], double *u, double *v)
+{
+    double rot[9], at[3];
+    camera_quat_to_rot(im->quat_wxyz, rot);
+    for (int a = 0; a < 3; a++)
+        at[a] =
+            rot[3 * a] * xyz[0] + rot[3 * a + 1] * xyz[1] + rot[3 * a + 2] * xyz[2] + im->trans[a];
+    if (!(at[2] > 0))
+        return false;
+    lens_distort(&m->cameras[im->camera].lens, at[0] / at[2], at[1] / at[2], u, v);
+    return isfinite(*u) && isfinite(*v);
+}
+
+static bool colmap_has_observations(const struct colmap_model *m)
+{
+    for (size_t i = 0; i < m->n_images; i++)
+        if (m->images[i].n_obs)
+            return true;
+    return false;
+}
+
+/* Some programs write which photographs see a point, and not where in them: that follows from
+ * poses and lenses. A photograph does not see a point behind it. */
+static enum err_code colmap_make_observations(struct colmap_model *m, struct err *e)
+{
+    size_t kept = 0;
+    struct colmap_track_element *tracks = arena_get(&m->arena, m->n_tracks, sizeof *tracks);
+    struct colmap_observation *obs = arena_get(&m->arena, m->n_tracks, sizeof *obs),
+                              *at = mem_array(m->n_tracks, sizeof *at);
+    if (!tracks || !obs || !at) {
+        mem_free(at);
+        return err_set(e, ERR_MEM, "out of memory for %zu observations", m->n_tracks);
+    }
+    for (size_t p = 0; p < m->n_points; p++) {
+        struct colmap_point *pt = &m->points[p];
+        const size_t first = kept;
+        for (size_t k = 0; k < pt->n_track; k++) {
+            tracks[kept] = m->tracks[pt->track + k];
+            at[kept].point = (int64_t)p;
+            struct colmap_image *im = &m->images[tracks[kept].image];
+            if (colmap_place(m, im, pt->xyz, &at[kept].x_px, &at[kept].y_px)) {
+                im->n_obs++;
+                kept++;
+            }
+        }
+        pt->track = first;
+        pt->n_track = kept - first;
+    }
+    for (size_t i = 0; i < m->n_images; i++) {
+        m->images[i].obs = obs;
+        obs += m->images[i].n_obs;
+        m->images[i].n_obs = 0;
+    }
+    for (size_t k = 0; k < kept; k++) {
+        struct colmap_image *im = &m->images[tracks[k].image];
+        tracks[k].obs = (uint32_t)im->n_obs;
+        im->obs[im->n_obs++] = at[k];
+    }
+    mem_free(at);
+    log_warn("colmap",
+             "images has no observations: points lie in photographs where poses and lenses put "
+             "them, so poses are unchecked; export the model with observations to check them");
+    m->tracks = tracks;
+    m->n_tracks = kept;
     return ERR_OK;
 }
 
 /* Mean distance of a point's observations from where it projects; 0: nobody sees it. */
 static double colmap_point_error(const struct colmap_model *m, const struct colmap_point *p)
 {
-    double sum = 0;
+    double sum = 0, u, v;
     for (size_t k = 0; k < p->n_track; k++) {
         const struct colmap_track_element *t = &m->tracks[p->track + k];
         const struct colmap_image *im = &m->images[t->image];
-        double rot[9], at[3], u, v;
-        camera_quat_to_rot(im->quat_wxyz, rot);
-        for (int a = 0; a < 3; a++)
-            at[a] = rot[3 * a] * p->xyz[0] + rot[3 * a + 1] * p->xyz[1] +
-                    rot[3 * a + 2] * p->xyz[2] + im->trans[a];
-        if (!(at[2] > 0))
+        if (!colmap_place(m, im, p->xyz, &u, &v))
             return COLMAP_BEHIND_PX;
-        lens_distort(&m->cameras[im->camera].lens, at[0] / at[2], at[1] / at[2], &u, &v);
         sum += hypot(u - im->obs[t->obs].x_px, v - im->obs[t->obs].y_px);
     }
     return p->n_track ? sum / (double)p->n_track : 0;
@@ -270,7 +344,11 @@ static enum err_code colmap_model_resolve(struct colmap_model *m, struct err *e)
     if (!rc)
         rc = colmap_resolve_images(m, e);
     if (!rc)
-        rc = colmap_resolve_tracks(m, e);
+        rc = colmap_resolve_track_images(m, e);
+    if (!rc && m->n_tracks && !colmap_has_observations(m))
+        rc = colmap_make_observations(m, e);
+    else if (!rc)
+        rc = colmap_check_tracks(m, e);
     if (!rc)
         colmap_compute_errors(m);
     return rc;

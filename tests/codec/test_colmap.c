@@ -334,6 +334,60 @@ static void test_no_observations(void **state)
     kit_rmdir(dir);
 }
 
+/* Tracks without observations: pose and lens say where a point lies in a photograph, which does not
+ * see what lies behind it. */
+static void test_tracks_alone(void **state)
+{
+    enum { BEHIND = 7 };
+    char dir[FILE_PATH_MAX];
+    const struct colmap_observation *o;
+    double rot[9], at[3];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    make_model(&m);
+    m.points[2].error_px = -1;
+    m.points[BEHIND].xyz[2] = -40;
+    for (size_t i = 0; i < m.n_images; i++)
+        m.images[i].n_obs = 0;
+    kit_tmpdir(dir);
+    log_set_level(LOG_ERROR);
+    for (int text = 0; text < 2; text++) {
+        if (text)
+            write_text(dir, &m);
+        else
+            kit_ok(colmap_write_bin(dir, &m, &e), e);
+        kit_ok(colmap_read(dir, &out, &e), e);
+        assert_int_equal(out.n_tracks, m.n_tracks - m.points[BEHIND].n_track);
+        for (size_t i = 0; i < out.n_points; i++) {
+            const struct colmap_point *p = &out.points[i];
+            assert_int_equal(p->n_track, i == BEHIND ? 0 : m.points[i].n_track);
+            assert_true(p->error_px == (i == 2 ? 0 : m.points[i].error_px));
+            for (size_t k = 0; k < p->n_track; k++) {
+                const struct colmap_track_element *t = &out.tracks[p->track + k];
+                assert_int_equal(t->image, m.tracks[m.points[i].track + k].image);
+                assert_true(t->obs < out.images[t->image].n_obs);
+                assert_int_equal(out.images[t->image].obs[t->obs].point, i);
+            }
+        }
+        o = &out.images[1].obs[0]; /* of point 0, which lies at 0, -1, 2 */
+        camera_quat_to_rot(m.images[1].quat_wxyz, rot);
+        for (int a = 0; a < 3; a++)
+            at[a] = 2 * rot[3 * a + 2] - rot[3 * a + 1] + m.images[1].trans[a];
+        assert_true(fabs(o->x_px - (250 * at[0] / at[2] + 160)) < 1e-9);
+        assert_true(fabs(o->y_px - (250 * at[1] / at[2] + 120)) < 1e-9);
+        colmap_free(&out);
+        if (!text)
+            for (int part = 0; part < 3; part++) {
+                char path[FILE_PATH_MAX + 32];
+                snprintf(path, sizeof path, "%s/%s.bin", dir, parts[part]);
+                assert_int_equal(remove(path), 0);
+            }
+    }
+    log_set_level(LOG_WARN);
+    colmap_free(&m);
+    kit_rmdir(dir);
+}
+
 /* Points that are nowhere are left out, and nobody sees them. */
 static void test_points_that_are_nowhere(void **state)
 {
@@ -481,15 +535,11 @@ static void test_out_of_memory(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_round_trip),
-        cmocka_unit_test(test_truncation),
-        cmocka_unit_test(test_cut_texts),
-        cmocka_unit_test(test_named_errors),
-        cmocka_unit_test(test_out_of_memory),
-        cmocka_unit_test(test_unknown_errors),
-        cmocka_unit_test(test_newer_models),
-        cmocka_unit_test(test_no_observations),
-        cmocka_unit_test(test_points_that_are_nowhere),
+        cmocka_unit_test(test_round_trip),    cmocka_unit_test(test_truncation),
+        cmocka_unit_test(test_cut_texts),     cmocka_unit_test(test_named_errors),
+        cmocka_unit_test(test_out_of_memory), cmocka_unit_test(test_unknown_errors),
+        cmocka_unit_test(test_newer_models),  cmocka_unit_test(test_no_observations),
+        cmocka_unit_test(test_tracks_alone),  cmocka_unit_test(test_points_that_are_nowhere),
     };
     return cmocka_run_group_tests_name("colmap", tests, NULL, NULL);
 }
