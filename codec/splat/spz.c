@@ -227,9 +227,9 @@ static enum err_code spz_positions_read(const struct spz_head *h, const uint8_t 
         return spz_positions_read_1(p, q, e);
     q->frac_bits = h->fraction_bits;
     for (size_t i = 0; i < 3 * q->n; i++, p += 3) {
-        q->position[i] = spz_get_i24(p);
-        if (q->position[i] == -POSITION_LIMIT)
-            return err_set(e, ERR_FORMAT, "spz: row %zu: its position is beyond the range", i / 3);
+        const int32_t v = spz_get_i24(p);
+        /* the mirror image of -2^23 has no place in 24 bits: it moves by a step */
+        q->position[i] = v == -POSITION_LIMIT ? 1 - POSITION_LIMIT : v;
     }
     return ERR_OK;
 }

@@ -382,6 +382,37 @@ static void basis(const double d[3], double out[15])
     memcpy(out, b, sizeof b);
 }
 
+/* The least number of 24 bits is a place as any other, also where its axis is mirrored. */
+static void test_the_least_coordinate_is_read(void **state)
+{
+    const int32_t most = (1 << 23) - 1;
+    struct buf plain = {0}, z = {0}, again = {0};
+    struct quant q, back;
+    struct err e = {0};
+    for (uint32_t axes = 4; axes <= 5; axes++) { /* those of glTF, and all three mirrored */
+        spz_head(&plain, 3, 1, 0, 12, 2);
+        buf_add(&plain, (const uint8_t[]){0, 0, 0x80, 1, 0, 0x80, 255, 255, 0x7f}, 9);
+        buf_add(&plain, (const uint8_t[]){51, 255, 0, 128, 160, 176, 144}, 7);
+        buf_u32(&plain, 3u << 30);
+        buf_u32(&plain, 0xadbe0003);
+        buf_u32(&plain, 4);
+        buf_u32(&plain, axes);
+        gzip(&plain, &z);
+        kit_ok(spz_decode(z.data, z.size, NULL, &q, &e), e);
+        const int32_t s = axes == 4 ? 1 : -1;
+        for (int c = 0; c < 3; c++)
+            assert_int_equal(q.position[c], s * (c < 2 ? -most : most));
+        kit_ok(spz_encode(&q, 3, &again, &e), e);
+        kit_ok(spz_decode(again.data, again.size, NULL, &back, &e), e);
+        assert_memory_equal(back.position, q.position, 3 * sizeof *q.position);
+        quant_free(&q);
+        quant_free(&back);
+        buf_free(&plain);
+        buf_free(&z);
+        buf_free(&again);
+    }
+}
+
 /* A record says which way the axes go: what is read is the same thing in glTF's. */
 static void test_other_axes_are_turned(void **state)
 {
@@ -620,6 +651,7 @@ int main(void)
         cmocka_unit_test(test_round_trip),
         cmocka_unit_test(test_reads_version_2_and_3_by_the_book),
         cmocka_unit_test(test_reads_version_1_by_the_book),
+        cmocka_unit_test(test_the_least_coordinate_is_read),
         cmocka_unit_test(test_other_axes_are_turned),
         cmocka_unit_test(test_writes_version_3_by_the_book),
         cmocka_unit_test(test_truncation_and_flips),
