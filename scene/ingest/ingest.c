@@ -385,6 +385,7 @@ static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
     struct ingest_photo *p = &g->photos[i];
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
     struct codec_limits lim = {0};
+    bool dark = false;
     enum err_code rc = ERR_OK;
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
@@ -395,7 +396,8 @@ static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
         if (!rc)
             rc = file_join(to, folder, p->out_name, e);
         if (!rc)
-            rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
+            rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, &dark, e);
+        atomic_fetch_add(&g->darks, !rc && dark);
         if (rc == ERR_FORMAT)
             rc = ingest_set_aside(g, p, rc, e);
         else if (!rc)
@@ -525,6 +527,33 @@ static enum err_code ingest_read_survey(struct ingest *g, const char *sparse_dir
     return !rc ? ingest_check_some_left(g, e) : rc;
 }
 
+/* What the pixels of all photographs are like. */
+static void ingest_tell_pixels(struct ingest *g)
+{
+    const size_t blanks = atomic_load(&g->blanks), wholes = atomic_load(&g->wholes),
+                 alphas = atomic_load(&g->alphas), skies = atomic_load(&g->skies);
+    if (atomic_load(&g->darks) == g->scene.n_images)
+        log_warn(
+            "ingest",
+            "all photographs are dark: no sample is larger than %d of 255. If they have 10, 12 "
+            "or 14 bits in samples of 16, multiply them by 64, 16 or 4, e.g. by oiiotool "
+            "a.tif --mulc 16 -o b.tif",
+            INGEST_DARK_MOST);
+    if (blanks)
+        log_warn("ingest", "%zu photographs have the alpha 0 everywhere: it does not count",
+                 blanks);
+    if (wholes)
+        log_warn("ingest", "%zu photographs are masked whole: nothing of them trains or is scored",
+                 wholes);
+    if (alphas)
+        log_info("ingest", "%zu photographs have transparent pixels: these are masked", alphas);
+    if (skies)
+        log_info("ingest",
+                 "%zu photographs show the sky: what is above the horizon and above all points is "
+                 "masked",
+                 skies);
+}
+
 static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, double start_s,
                                       struct err *e)
 {
@@ -542,20 +571,8 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = file_mkdir(folder, e);
     if (!rc)
         rc = ingest_convert(g, e);
-    if (!rc && atomic_load(&g->blanks))
-        log_warn("ingest", "%zu photographs have the alpha 0 everywhere: it does not count",
-                 atomic_load(&g->blanks));
-    if (!rc && atomic_load(&g->wholes))
-        log_warn("ingest", "%zu photographs are masked whole: nothing of them trains or is scored",
-                 atomic_load(&g->wholes));
-    if (!rc && atomic_load(&g->alphas))
-        log_info("ingest", "%zu photographs have transparent pixels: these are masked",
-                 atomic_load(&g->alphas));
-    if (!rc && atomic_load(&g->skies))
-        log_info("ingest",
-                 "%zu photographs show the sky: what is above the horizon and above all points is "
-                 "masked",
-                 atomic_load(&g->skies));
+    if (!rc)
+        ingest_tell_pixels(g);
     if (!rc && !atomic_load(&g->alphas) && !atomic_load(&g->masks) && !atomic_load(&g->skies) &&
         !file_join(folder, g->dir.part, "masks", e))
         (void)remove(folder); /* made for photographs that turned out to be opaque */

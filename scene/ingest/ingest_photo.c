@@ -197,10 +197,19 @@ static enum err_code photo_copy_bytes(const char *from, const char *to, struct e
     return rc;
 }
 
+static bool photo_is_dark(const struct image *img)
+{
+    for (size_t k = 0; k < (size_t)img->width_px * img->height_px * img->channels; k++)
+        if (img->px[k] > INGEST_DARK_MOST)
+            return false;
+    return true;
+}
+
 enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from, const char *to,
-                                   const struct codec_limits *lim, struct err *e)
+                                   const struct codec_limits *lim, bool *dark, struct err *e)
 {
     struct image img = {0};
+    *dark = false;
     enum err_code rc =
         image_read(from, lim, &img, e); /* also when it is only copied: it must be readable */
     if (rc)
@@ -210,6 +219,7 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
                      img.width_px, img.height_px, v->lens.width_px, v->lens.height_px);
         goto out;
     }
+    *dark = photo_is_dark(&img);
     bool same_size = img.width_px == v->pinhole.width_px && img.height_px == v->pinhole.height_px;
     if (!v->undistort && same_size && photo_same_suffix(from, to)) {
         rc = photo_copy_bytes(from, to, e);

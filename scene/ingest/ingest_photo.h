@@ -31,10 +31,13 @@ enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint3
  * outside. */
 bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, double x_px, double y_px,
                      double *u_px, double *v_px);
-/* Converts one photograph. If nothing changes and the format fits, its bytes are copied. ERR_NOENT,
- * ERR_FORMAT, ERR_LIMIT: the photograph cannot be read. ERR_DATA: its size is not the camera's.
- * ERR_IO, ERR_MEM. */
+/* The largest sample of a dark photograph. 14 bits in samples of 16 reach this much of 255. */
+enum { INGEST_DARK_MOST = 64 };
+/* Converts one photograph. If nothing changes and the format fits, its bytes are copied. *dark: no
+ * sample is larger than INGEST_DARK_MOST. ERR_NOENT, ERR_FORMAT, ERR_LIMIT: the photograph cannot
+ * be read. ERR_DATA: its size is not the camera's. ERR_IO, ERR_MEM. */
 enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from, const char *to,
-                                   const struct codec_limits *lim, struct err *e) ERR_USE;
+                                   const struct codec_limits *lim, bool *dark,
+                                   struct err *e) ERR_USE;
 
 #endif

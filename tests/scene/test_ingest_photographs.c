@@ -302,11 +302,44 @@ static void test_other_systems(void **state)
     kit_fails(ingest_run(path, dir, &ic, &e), ERR_NOENT, e, "1 of the 8 photographs");
 }
 
+/* Samples of 12 bits are read as they are meant. In samples of 16 they are a sixteenth as bright,
+ * which a file does not say: a warning does. */
+static void test_more_than_8_bits(void **state)
+{
+    static const struct {
+        const char *command;
+        bool dark;
+    } cases[] = {{"oiiotool \"$1\" -d uint16 --mulc 0.0625 -o \"$2\"", true},
+                 {"oiiotool \"$1\" -d uint16 -o \"$2\"", false},
+                 {"oiiotool \"$1\" -d uint12 -o \"$2\"", false}};
+    char city[FILE_PATH_MAX];
+    struct synth_config sc;
+    struct err e = {0};
+    city_config(&sc, city, "deep");
+    sc.photos = 8;
+    kit_ok(synth_run(&sc, &e), e);
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        struct buf out = {0};
+        city_as(city, "deep-as", cases[k].command, "*.tif", "*.tif");
+        assert_int_equal(kit_run(&out,
+                                 "cd '%s' && '%s' ingest deep-as deep-as/model -o deep-scene "
+                                 "--overwrite --origin 7.5,47.5,300 --metres-per-unit 1 "
+                                 "--min-gps-share 1 --no-exposure",
+                                 kit_tmp, kit_program()),
+                         0);
+        buf_u8(&out, 0);
+        if (!strstr((const char *)out.data, "all photographs are dark") == cases[k].dark)
+            fail_msg("%s: %s", cases[k].command, (const char *)out.data);
+        buf_free(&out);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_broken_photographs),
         cmocka_unit_test(test_other_systems),
+        cmocka_unit_test(test_more_than_8_bits),
         cmocka_unit_test(test_far_from_gps),
     };
     progress_quiet(true);
