@@ -115,9 +115,13 @@ static enum MHD_Result mhd_callbacks_refuse(struct exchange *x, int status, cons
     const struct server_config *cfg = x->f->s->cfg;
     const int64_t limit = status == 413   ? cfg->max_body_kb << 10
                           : status == 414 ? cfg->max_target_bytes
+                          : status == 431 ? cfg->max_header_kb << 10
                                           : 0;
     char text[160];
-    snprintf(text, sizeof text, limit ? "%s: at most %lld bytes" : "%s", why, (long long)limit);
+    const int n =
+        snprintf(text, sizeof text, limit ? "%s: at most %lld bytes" : "%s", why, (long long)limit);
+    if (status == 431)
+        snprintf(text + n, sizeof text - (size_t)n, " in all, and %d fields", REQUEST_FIELDS_MAX);
     response_problem(&x->res, status, text);
     x->close = true;
     atomic_fetch_add(&x->f->s->metrics.rejected, status != 503 && !x->f->self);

@@ -71,23 +71,31 @@ static void test_malformed_requests(void **state)
 static void test_reasons_of_refusals(void **state)
 {
     static const struct {
-        const char *head, *says;
-        int filler;
+        const char *head, *says; /* an empty head is made of the next three */
+        int target, fields, field;
     } rows[] = {
-        {"GET /healthz HTTP/1.1\r\n\r\n", "needs the header field Host", 0},
-        {POST "Content-Length: 65537\r\n\r\n", "the body is too large: at most 65536 bytes", 0},
-        {"", "target is too long: at most 2048 bytes", 3000},
-        {"", "target is too long: at most 2048 bytes", 30000},
+        {"GET /healthz HTTP/1.1\r\n\r\n", "needs the header field Host", 0, 0, 0},
+        {POST "Content-Length: 65537\r\n\r\n", "the body is too large: at most 65536 bytes", 0, 0,
+         0},
+        {"", "target is too long: at most 2048 bytes", 3000, 0, 0},
+        {"", "target is too long: at most 2048 bytes", 30000, 0, 0},
+        {"", "too many header fields: at most 16384 bytes in all, and 64 fields", 1, 70, 1},
+        {"", "a header field is too long: at most 16384 bytes in all, and 64 fields", 1, 1, 30000},
     };
     struct reply r;
     start();
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct buf b = {0};
+        if (rows[i].field > 1 && http_is_strict()) /* the library's own page */
+            continue;
         int fd = dial(t.port);
-        if (rows[i].filler)
-            buf_printf(&b, "GET /%0*d HTTP/1.1\r\n" H "\r\n", rows[i].filler, 0);
-        else
-            buf_printf(&b, "%s", rows[i].head);
+        buf_printf(&b, "%s", rows[i].head);
+        if (rows[i].target)
+            buf_printf(&b, "GET /%0*d HTTP/1.1\r\n" H, rows[i].target, 0);
+        for (int k = 0; k < rows[i].fields; k++)
+            buf_printf(&b, "X: %0*d\r\n", rows[i].field, 0);
+        if (rows[i].target)
+            buf_printf(&b, "\r\n");
         say_bytes(fd, (const char *)b.data, b.size);
         hear(fd, true, NULL, &r);
         if (!strstr((const char *)r.body, rows[i].says))
