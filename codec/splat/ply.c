@@ -117,6 +117,10 @@ static enum err_code ply_ascii_rows(const struct ply_head *h, const struct ply_e
         }
         if (end == p)
             rc = err_set(e, ERR_FORMAT, "ply: row %zu: not a number, or truncated", i / v->n_props);
+        /* a value too many or too few would move those of all further rows */
+        else if ((i + 1) % v->n_props == 0 && !strchr("\r\n", end[strspn(end, " \t")]))
+            rc = err_set(e, ERR_FORMAT, "ply: row %zu: its line does not end after %zu values",
+                         i / v->n_props, v->n_props);
     }
     mem_free(text);
     return rc;

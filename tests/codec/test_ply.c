@@ -376,6 +376,14 @@ static void test_hostile_headers(void **state)
         {"ply\nformat ascii 1.0\nelement vertex 60000000\n" ALL_BUT_ROT_3
          "property float rot_3\nend_header\n",
          ERR_FORMAT, "truncated"},
+        {"ply\nformat ascii 1.0\nelement vertex 2\n" ALL_BUT_ROT_3
+         "property float rot_3\nend_header\n0 0 0 0 0 0 0 0 0 0 1 0 0 0 7\n"
+         "0 0 0 0 0 0 0 0 0 0 1 0 0 0\n",
+         ERR_FORMAT, "row 0: its line does not end after 14 values"},
+        {"ply\nformat ascii 1.0\nelement vertex 2\n" ALL_BUT_ROT_3
+         "property float rot_3\nend_header\n0 0 0 0 0 0 0 0 0 0 1 0 0\n"
+         "0 0 0 0 0 0 0 0 0 0 1 0 0 0\n",
+         ERR_FORMAT, "row 0: its line does not end after 14 values"},
         {LITTLE "element vertex 0\n" ALL_BUT_ROT_3
                 "property float rot_3\nproperty float f_rest_0\nend_header\n",
          ERR_FORMAT, "1 f_rest"},
