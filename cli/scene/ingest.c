@@ -36,8 +36,11 @@ static enum err_code ingest_read_gcps(const struct ingest_config *cfg, struct gc
         rc = gcp_keep_out(l, cfg->check, e);
     if (!rc)
         rc = control_unproject(cfg->gcp, (int)cfg->gcp_epsg, l, e);
-    if (!rc && l->heights_epsg && !cfg->heights)
+    if (!rc && l->heights_epsg && !cfg->heights) {
         rc = ingest_check_heights(l->heights_epsg, e);
+        if (rc)
+            err_add(e, "%s", cfg->gcp);
+    }
     return rc;
 }
 

@@ -190,6 +190,18 @@ static bool gcp_names_columns(char *text)
     return known > 1;
 }
 
+static enum err_code gcp_check_units(const struct gcp_table *t, const char *line, struct err *e)
+{
+    char copy[TABLE_LINE_MAX], *field[TABLE_FIELDS];
+    enum err_code rc = ERR_OK;
+    snprintf(copy, sizeof copy, "%s", line);
+    const size_t n = table_split(copy, t->comma, field);
+    for (size_t c = 0; !rc && c < GCP_COLUMNS; c++)
+        if (t->column[c] < n)
+            rc = table_check_unit(t->path, t->line, field[t->column[c]], e);
+    return rc;
+}
+
 /* The first line names the columns, or the coordinate system, or it is a mark (*mark). */
 static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_list *l, bool *mark,
                               struct err *e)
@@ -201,7 +213,7 @@ static enum err_code gcp_head(const char *line, struct gcp_table *t, struct gcp_
     enum gcp_column lacks = gcp_columns(copy, t, &l->epsg);
     *mark = false;
     if (lacks == GCP_NAME || (t->bare && lacks >= GCP_PX) || (t->known && gcp_has_marks_alone(t)))
-        return ERR_OK;
+        return gcp_check_units(t, line, e);
     if (gcp_has_marks_alone(t))
         return err_set(e, ERR_FORMAT,
                        "%s: line %zu: has marks and no coordinates: give the file with the points "

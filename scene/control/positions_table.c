@@ -146,20 +146,6 @@ static enum column positions_ref_of(const char *word)
     return c >= COLUMN_X && c <= COLUMN_Z ? c : COLUMNS;
 }
 
-/* Metres and degrees: a heading with another unit would give silent nonsense. */
-static enum err_code positions_check_unit(const struct table *t, const char *field, struct err *e)
-{
-    static const char *const bad[] = {"f", "us", "km", "mm", "cm", "rad", "dms", "gra"};
-    const char *unit = strpbrk(field, "([{");
-    for (size_t k = 0; unit && k < sizeof bad / sizeof *bad; k++)
-        if (!strncasecmp(unit + 1, bad[k], strlen(bad[k])))
-            return err_set(e, ERR_FORMAT,
-                           "%s: line %zu: column '%.40s': metres and decimal degrees are read: "
-                           "convert it",
-                           t->path, t->line, field);
-    return ERR_OK;
-}
-
 static enum err_code positions_csv_head(const struct table *t, char *line, struct positions *p,
                                         struct positions_head *h, struct err *e)
 {
@@ -183,7 +169,7 @@ static enum err_code positions_csv_head(const struct table *t, char *line, struc
             h->enabled = i;
         if (c == COLUMNS || h->column[c] != SIZE_MAX) /* of two the first counts */
             continue;
-        const enum err_code rc = positions_check_unit(t, field[i], e);
+        const enum err_code rc = table_check_unit(t->path, t->line, field[i], e);
         if (rc)
             return rc;
         h->column[c] = i;

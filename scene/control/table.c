@@ -208,6 +208,19 @@ void table_heading(const char *field, char out[TABLE_HEADING])
     out[n] = '\0';
 }
 
+enum err_code table_check_unit(const char *path, size_t line, const char *field, struct err *e)
+{
+    static const char *const bad[] = {"f", "us", "km", "mm", "cm", "rad", "dms", "gra"};
+    const char *unit = strpbrk(field, "([{");
+    for (size_t k = 0; unit && k < sizeof bad / sizeof *bad; k++)
+        if (!strncasecmp(unit + 1, bad[k], strlen(bad[k])))
+            return err_set(e, ERR_FORMAT,
+                           "%s: line %zu: column '%.40s': metres and decimal degrees are read: "
+                           "convert it",
+                           path, line, field);
+    return ERR_OK;
+}
+
 bool table_number(const char *text, double *out)
 {
     return number_list(text, 1, out) && fabs(*out) <= 1e12;

@@ -41,6 +41,10 @@ char table_separator(const char *line, bool (*known)(const char *field));
 /* Writes the name of a column in a standard form: "Accuracy Horizontal (m)" as accuracy_horizontal,
  * "#Label" as Label, "X/Easting" as Easting. */
 void table_heading(const char *field, char out[TABLE_HEADING]);
+/* Checks that a heading has no unit in brackets, or metres or degrees: another one would give
+ * silent nonsense. ERR_FORMAT. */
+enum err_code table_check_unit(const char *path, size_t line, const char *field,
+                               struct err *e) ERR_USE;
 /* Parses a finite number of at most 1e12 and nothing else. Returns false if the text is no such
  * number. */
 bool table_number(const char *text, double *out);
