@@ -20,6 +20,21 @@ static enum err_code control_unproject_one(int epsg, double *x, double *y, struc
     return rc;
 }
 
+static bool control_like_degrees(double x, double y)
+{
+    return fabs(x) <= 180 && fabs(y) <= 90;
+}
+
+enum err_code control_unproject_place(const struct crs *crs, double *x, double *y, struct err *e)
+{
+    if (!crs_is_degrees(crs) && control_like_degrees(*x, *y))
+        return err_set(e, ERR_ARG,
+                       "%.9g %.9g looks like longitude and latitude, and EPSG:%d counts metres: "
+                       "give the system of the coordinates, e.g. 4326",
+                       *x, *y, crs_epsg(crs));
+    return crs_unproject(crs, 1, x, y, e);
+}
+
 /* A system that is used elsewhere on Earth is the wrong one, or x and y are swapped. */
 static void control_check_area(const struct crs *crs, const struct gcp *g)
 {
@@ -35,6 +50,8 @@ static void control_check_area(const struct crs *crs, const struct gcp *g)
 static const char *control_suspicion(const struct gcp *g)
 {
     const double zone = floor(g->file[0] / 1e6), rest = g->file[0] - 1e6 * zone;
+    if (control_like_degrees(g->file[0], g->file[1]))
+        return "degrees";
     return zone >= 1 && zone <= 60 && rest > 1e5 && rest < 9e5 && fabs(g->file[1]) < 1e7
                ? "do the eastings begin with the number of the zone"
                : "x and y swapped, feet, or millimetres";
@@ -77,7 +94,7 @@ enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, 
                         path, l->gcps[i].line, l->gcps[i].name, l->gcps[i].at[0], l->gcps[i].at[1]);
     for (size_t i = 0; !rc && crs && i < l->n; i++) {
         struct gcp *g = &l->gcps[i];
-        rc = crs_unproject(crs, 1, &g->at[0], &g->at[1], e);
+        rc = control_unproject_place(crs, &g->at[0], &g->at[1], e);
         if (rc)
             err_add(e, "%s: line %zu: ground control point %s (%s?)", path, g->line, g->name,
                     control_suspicion(g));

@@ -83,7 +83,7 @@ static enum err_code ingest_read_positions(const struct ingest_config *cfg, stru
         if ((!crs || crs_is_degrees(crs)) && !(fabs(at[0]) <= 180 && fabs(at[1]) <= 90))
             rc = err_set(e, ERR_ARG, "%.9g %.9g is no longitude and latitude", at[0], at[1]);
         else if (crs)
-            rc = crs_unproject(crs, 1, &at[0], &at[1], e);
+            rc = control_unproject_place(crs, &at[0], &at[1], e);
         if (rc)
             err_add(e, "%s: line %zu", cfg->positions, p->list[i].line);
     }

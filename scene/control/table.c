@@ -210,7 +210,7 @@ void table_heading(const char *field, char out[TABLE_HEADING])
 
 enum err_code table_check_unit(const char *path, size_t line, const char *field, struct err *e)
 {
-    static const char *const bad[] = {"f", "us", "km", "mm", "cm", "rad", "dms", "gra"};
+    static const char *const bad[] = {"f", "us", "km", "mm", "cm", "rad", "dms", "gra", "gon"};
     const char *unit = strpbrk(field, "([{");
     for (size_t k = 0; unit && k < sizeof bad / sizeof *bad; k++)
         if (!strncasecmp(unit + 1, bad[k], strlen(bad[k])))

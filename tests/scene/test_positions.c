@@ -125,7 +125,7 @@ static void off(double rms_m[2], char heights[HEIGHTS_MAX])
 /* A list whose second half errs by metres: accuracies make the first half count. */
 static void accuracies_weigh(void **state)
 {
-    struct buf with = {0}, without = {0}, utm = {0};
+    struct buf with = {0}, without = {0}, utm = {0}, said = {0};
     struct err e = {0};
     struct crs *crs;
     char path[FILE_PATH_MAX], heights[HEIGHTS_MAX];
@@ -167,6 +167,10 @@ static void accuracies_weigh(void **state)
     assert_int_equal(ingest("--positions utm.csv --positions-epsg 5555", NULL), 0);
     off(national, heights);
     assert_string_equal(heights, "EPSG:5783");
+    assert_int_equal(ingest("--positions with.csv --positions-epsg 32632", &said), 2);
+    kit_expect_text((const char *)said.data, "looks like longitude and latitude", __FILE__,
+                    __LINE__);
+    buf_free(&said);
     assert_int_equal(ingest("--positions with.csv --positions-epsg 4258", NULL), 0);
     off(degrees, heights);
     assert_string_equal(heights, "ellipsoid");
