@@ -57,7 +57,8 @@ struct colmap_model {
 };
 /* Reads a model from a folder, or from its sparse/ or sparse/0/. Each of the three files may be
  * .bin (preferred) or .txt. Errors of points that are negative or not finite are computed from the
- * observations. If there are none, tracks, poses and lenses give them. Free it with colmap_free.
+ * observations. If there are none, tracks, poses and lenses give them; tracks or points of
+ * observations that are not there are made from each other. Free it with colmap_free.
  * ERR_NOENT names the files that are missing. ERR_FORMAT names file and record ("images.bin: image
  * 17 of 75: truncated"), or a photograph whose camera model is not read. ERR_IO, ERR_LIMIT,
  * ERR_MEM. */

@@ -53,4 +53,12 @@ const char *colmap_check_image(const struct colmap_image *im);
 /* Are its coordinates finite? */
 bool colmap_point_is_somewhere(const struct colmap_point *p);
 
+/* ---- colmap_tracks.c ---- */
+
+/* Checks tracks against observations, when references are indices. Where the model has only one of
+ * them, it makes the other. ERR_FORMAT: they contradict each other. ERR_MEM. */
+enum err_code colmap_tracks_agree(struct colmap_model *m, struct err *e) ERR_USE;
+/* Computes errors of points that the model does not say, by their observations. */
+void colmap_tracks_errors(struct colmap_model *m);
+
 #endif

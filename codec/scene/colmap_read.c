@@ -2,9 +2,9 @@
  *
  * COLMAP writes a model as three files, binary or text, that refer to each other by id. The readers
  * (colmap_bin.c, colmap_txt.c) take records as they come. Here all records are sorted by id, and
- * every reference becomes a checked index. Code that uses a model never looks up an id. A point and
- * the observations in its track must agree in both directions, so files of two different models are
- * refused. Source: https://colmap.github.io/format.html
+ * every reference becomes a checked index. Code that uses a model never looks up an id. Then
+ * colmap_tracks.c checks tracks against observations.
+ * Source: https://colmap.github.io/format.html
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,8 +18,7 @@
 
 enum {
     PART_COUNT = 3,
-    MODELS_GAP = 16,              /* numbers without a model that end the search */
-    COLMAP_BEHIND_PX = 1000000000 /* error of a point behind a camera that has it */
+    MODELS_GAP = 16 /* numbers without a model that end the search */
 };
 static const char *const part_names[PART_COUNT] = {"cameras", "images", "points3D"};
 
@@ -217,127 +216,6 @@ static enum err_code colmap_resolve_track_images(struct colmap_model *m, struct 
     return ERR_OK;
 }
 
-static enum err_code colmap_check_tracks(const struct colmap_model *m, struct err *e)
-{
-    for (size_t p = 0; p < m->n_points; p++) {
-        const struct colmap_point *pt = &m->points[p];
-        for (size_t k = 0; k < pt->n_track; k++) {
-            const struct colmap_track_element *t = &m->tracks[pt->track + k];
-            const struct colmap_image *im = &m->images[t->image];
-            if (t->obs >= im->n_obs)
-                return err_set(
-                    e, ERR_FORMAT,
-                    "points3D: point %llu refers to observation %u of '%.200s', which has %zu; are "
-                    "the files of one model?",
-                    (unsigned long long)pt->id, t->obs, im->name, im->n_obs);
-            if (im->obs[t->obs].point != (int64_t)p)
-                return err_set(e, ERR_FORMAT,
-                               "points3D: point %llu: observation %u of '%.200s' belongs to "
-                               "another point; are the "
-                               "files of one model?",
-                               (unsigned long long)pt->id, t->obs, im->name);
-        }
-    }
-    return ERR_OK;
-}
-
-/* The pixel that pose and lens give a point; false: it lies behind the photograph. */
-static bool colmap_place(const struct colmap_model *m, const struct colmap_image *im,
-                         const double xyz[3], double *u, double *v)
-{
-    double rot[9], at[3];
-    camera_quat_to_rot(im->quat_wxyz, rot);
-    for (int a = 0; a < 3; a++)
-        at[a] =
-            rot[3 * a] * xyz[0] + rot[3 * a + 1] * xyz[1] + rot[3 * a + 2] * xyz[2] + im->trans[a];
-    if (!(at[2] > 0))
-        return false;
-    lens_distort(&m->cameras[im->camera].lens, at[0] / at[2], at[1] / at[2], u, v);
-    return isfinite(*u) && isfinite(*v);
-}
-
-static bool colmap_has_observations(const struct colmap_model *m)
-{
-    for (size_t i = 0; i < m->n_images; i++)
-        if (m->images[i].n_obs)
-            return true;
-    return false;
-}
-
-/* Some programs write which photographs see a point, and not where in them: that follows from
- * poses and lenses. A photograph does not see a point behind it. */
-static enum err_code colmap_make_observations(struct colmap_model *m, struct err *e)
-{
-    size_t kept = 0;
-    struct colmap_track_element *tracks = arena_get(&m->arena, m->n_tracks, sizeof *tracks);
-    struct colmap_observation *obs = arena_get(&m->arena, m->n_tracks, sizeof *obs),
-                              *at = mem_array(m->n_tracks, sizeof *at);
-    if (!tracks || !obs || !at) {
-        mem_free(at);
-        return err_set(e, ERR_MEM, "out of memory for %zu observations", m->n_tracks);
-    }
-    for (size_t p = 0; p < m->n_points; p++) {
-        struct colmap_point *pt = &m->points[p];
-        const size_t first = kept;
-        for (size_t k = 0; k < pt->n_track; k++) {
-            tracks[kept] = m->tracks[pt->track + k];
-            at[kept].point = (int64_t)p;
-            struct colmap_image *im = &m->images[tracks[kept].image];
-            if (colmap_place(m, im, pt->xyz, &at[kept].x_px, &at[kept].y_px)) {
-                im->n_obs++;
-                kept++;
-            }
-        }
-        pt->track = first;
-        pt->n_track = kept - first;
-    }
-    for (size_t i = 0; i < m->n_images; i++) {
-        m->images[i].obs = obs;
-        obs += m->images[i].n_obs;
-        m->images[i].n_obs = 0;
-    }
-    for (size_t k = 0; k < kept; k++) {
-        struct colmap_image *im = &m->images[tracks[k].image];
-        tracks[k].obs = (uint32_t)im->n_obs;
-        im->obs[im->n_obs++] = at[k];
-    }
-    mem_free(at);
-    log_warn("colmap",
-             "images has no observations: points lie in photographs where poses and lenses put "
-             "them, so poses are unchecked; export the model with observations to check them");
-    m->tracks = tracks;
-    m->n_tracks = kept;
-    return ERR_OK;
-}
-
-/* Mean distance of a point's observations from where it projects; 0: nobody sees it. */
-static double colmap_point_error(const struct colmap_model *m, const struct colmap_point *p)
-{
-    double sum = 0, u, v;
-    for (size_t k = 0; k < p->n_track; k++) {
-        const struct colmap_track_element *t = &m->tracks[p->track + k];
-        const struct colmap_image *im = &m->images[t->image];
-        if (!colmap_place(m, im, p->xyz, &u, &v))
-            return COLMAP_BEHIND_PX;
-        sum += hypot(u - im->obs[t->obs].x_px, v - im->obs[t->obs].y_px);
-    }
-    return p->n_track ? sum / (double)p->n_track : 0;
-}
-
-/* COLMAP writes -1 for an error that nobody has computed. */
-static void colmap_compute_errors(struct colmap_model *m)
-{
-    size_t n = 0;
-    for (size_t i = 0; i < m->n_points; i++)
-        if (!(m->points[i].error_px >= 0) || isinf(m->points[i].error_px)) {
-            m->points[i].error_px = colmap_point_error(m, &m->points[i]);
-            n++;
-        }
-    if (n)
-        log_info("colmap", "%zu of %zu points have no error: it is computed from observations", n,
-                 m->n_points);
-}
-
 static enum err_code colmap_model_resolve(struct colmap_model *m, struct err *e)
 {
     enum err_code rc = colmap_sort_and_check_unique(m, e);
@@ -345,12 +223,10 @@ static enum err_code colmap_model_resolve(struct colmap_model *m, struct err *e)
         rc = colmap_resolve_images(m, e);
     if (!rc)
         rc = colmap_resolve_track_images(m, e);
-    if (!rc && m->n_tracks && !colmap_has_observations(m))
-        rc = colmap_make_observations(m, e);
-    else if (!rc)
-        rc = colmap_check_tracks(m, e);
     if (!rc)
-        colmap_compute_errors(m);
+        rc = colmap_tracks_agree(m, e);
+    if (!rc)
+        colmap_tracks_errors(m);
     return rc;
 }
 

@@ -388,6 +388,34 @@ static void test_tracks_alone(void **state)
     kit_rmdir(dir);
 }
 
+/* Observations without tracks, and tracks of observations that name no point: either is enough. */
+static void test_one_direction_is_enough(void **state)
+{
+    char dir[FILE_PATH_MAX];
+    struct colmap_model m = {0}, out;
+    struct err e = {0};
+    for (int tracks = 0; tracks < 2; tracks++) {
+        size_t n_track[N_POINTS];
+        make_model(&m);
+        for (size_t p = 0; p < m.n_points; p++) {
+            n_track[p] = m.points[p].n_track;
+            m.points[p].n_track = tracks ? n_track[p] : 0;
+        }
+        for (size_t i = 0; i < m.n_images; i++)
+            for (size_t k = 0; tracks && k < m.images[i].n_obs; k++)
+                m.images[i].obs[k].point = -1;
+        kit_tmpdir(dir);
+        kit_ok(colmap_write_bin(dir, &m, &e), e);
+        colmap_free(&m);
+        kit_ok(colmap_read(dir, &out, &e), e);
+        make_model(&m);
+        expect_equal(&m, &out);
+        colmap_free(&m);
+        colmap_free(&out);
+        kit_rmdir(dir);
+    }
+}
+
 /* Points that are nowhere are left out, and nobody sees them. */
 static void test_points_that_are_nowhere(void **state)
 {
@@ -535,11 +563,17 @@ static void test_out_of_memory(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_round_trip),    cmocka_unit_test(test_truncation),
-        cmocka_unit_test(test_cut_texts),     cmocka_unit_test(test_named_errors),
-        cmocka_unit_test(test_out_of_memory), cmocka_unit_test(test_unknown_errors),
-        cmocka_unit_test(test_newer_models),  cmocka_unit_test(test_no_observations),
-        cmocka_unit_test(test_tracks_alone),  cmocka_unit_test(test_points_that_are_nowhere),
+        cmocka_unit_test(test_round_trip),
+        cmocka_unit_test(test_truncation),
+        cmocka_unit_test(test_cut_texts),
+        cmocka_unit_test(test_named_errors),
+        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_unknown_errors),
+        cmocka_unit_test(test_newer_models),
+        cmocka_unit_test(test_no_observations),
+        cmocka_unit_test(test_tracks_alone),
+        cmocka_unit_test(test_one_direction_is_enough),
+        cmocka_unit_test(test_points_that_are_nowhere),
     };
     return cmocka_run_group_tests_name("colmap", tests, NULL, NULL);
 }
