@@ -61,7 +61,8 @@ static const char *control_suspicion(const struct gcp *g)
  * ingest refuses them. */
 static enum err_code control_tell_system(struct crs *crs, struct gcp_list *l, struct err *e)
 {
-    if (l->heights_epsg && l->heights_epsg != 4979 && crs_set_vertical(crs, l->heights_epsg, NULL))
+    if (l->heights_epsg && l->heights_epsg != CRS_ELLIPSOIDAL &&
+        crs_set_vertical(crs, l->heights_epsg, NULL))
         log_debug("gcp", "EPSG:%d is no system of heights", l->heights_epsg);
     mem_free(l->wkt);
     l->wkt = NULL;
@@ -80,7 +81,9 @@ enum err_code control_unproject(const char *path, int epsg, struct gcp_list *l, 
                      path);
     if (!rc)
         rc = crs_split(&epsg, &l->heights_epsg, e);
-    if (!rc && epsg != GCP_LONLAT)
+    /* WGS 84 has a text of its own, unless its heights count from elsewhere */
+    const bool plain = !l->heights_epsg || l->heights_epsg == CRS_ELLIPSOIDAL;
+    if (!rc && !(epsg == GCP_LONLAT && plain))
         rc = crs_open_places(epsg, &crs, e);
     if (epsg && rc)
         err_add(e, "%s", path);

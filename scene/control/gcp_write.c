@@ -133,7 +133,7 @@ static enum err_code gcp_put_xml(const struct gcp_list *l, struct buf *b, struct
         "84\",6378137,298.257223563,AUTHORITY[\"EPSG\",\"7030\"]],AUTHORITY[\"EPSG\",\"6326\"]],"
         "PRIMEM[\"Greenwich\",0,AUTHORITY[\"EPSG\",\"8901\"]],UNIT[\"degree\",0.01745329251994328,"
         "AUTHORITY[\"EPSG\",\"9102\"]],AUTHORITY[\"EPSG\",\"4326\"]]";
-    const char *wkt = l->epsg == GCP_LONLAT ? wgs84 : l->wkt;
+    const char *wkt = !l->wkt && l->epsg == GCP_LONLAT ? wgs84 : l->wkt;
     if (!wkt)
         return err_set(e, ERR_DATA, "EPSG:%d has no text for Metashape", l->epsg);
     buf_printf(b, "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"1.2.0\">\n"

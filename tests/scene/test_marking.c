@@ -236,6 +236,14 @@ static void markers_of_metashape_are_read_and_written(void **state)
     write_list(&a, GCP_FORM_XML, "again.xml", path);
     kit_ok(gcp_read(path, &b, &e), e);
     expect_markers(&b);
+    gcp_free(&b);
+    a.epsg = GCP_LONLAT; /* with heights of its own text */
+    mem_free(a.wkt);
+    a.wkt = mem_text("COMPD_CS[\"a\",GEOGCS[\"b\",AUTHORITY[\"EPSG\",\"4326\"]],VERT_CS[\"c\","
+                     "AUTHORITY[\"EPSG\",\"5773\"]]]");
+    write_list(&a, GCP_FORM_XML, "again.xml", path);
+    kit_ok(gcp_read(path, &b, &e), e);
+    assert_true(b.epsg == GCP_LONLAT && b.heights_epsg == 5773);
     gcp_free(&a);
     gcp_free(&b);
 }
