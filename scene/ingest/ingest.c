@@ -385,7 +385,7 @@ static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
     struct ingest_photo *p = &g->photos[i];
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
     struct codec_limits lim = {0};
-    bool dark = false;
+    enum ingest_light light = INGEST_LIGHT_USUAL;
     enum err_code rc = ERR_OK;
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
@@ -396,8 +396,9 @@ static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
         if (!rc)
             rc = file_join(to, folder, p->out_name, e);
         if (!rc)
-            rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, &dark, e);
-        atomic_fetch_add(&g->darks, !rc && dark);
+            rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, &light, e);
+        atomic_fetch_add(&g->darks, !rc && light == INGEST_LIGHT_DARK);
+        atomic_fetch_add(&g->whites, !rc && light == INGEST_LIGHT_WHITE);
         if (rc == ERR_FORMAT)
             rc = ingest_set_aside(g, p, rc, e);
         else if (!rc)
@@ -539,6 +540,11 @@ static void ingest_tell_pixels(struct ingest *g)
             "or 14 bits in samples of 16, multiply them by 64, 16 or 4, e.g. by oiiotool "
             "a.tif --mulc 16 -o b.tif",
             INGEST_DARK_MOST);
+    if (atomic_load(&g->whites) == g->scene.n_images)
+        log_warn("ingest",
+                 "all photographs are white: nearly all samples are 255. Floats count to 1: if "
+                 "these count to 255 or 65535, divide them, e.g. by oiiotool a.tif --divc 255 -d "
+                 "uint8 -o b.tif");
     if (blanks)
         log_warn("ingest", "%zu photographs have the alpha 0 everywhere: it does not count",
                  blanks);

@@ -128,7 +128,7 @@ struct ingest {
     atomic_size_t done, masks, alphas; /* masks of --mask-dir, and by alpha */
     atomic_size_t blanks;              /* photographs whose alpha is 0 everywhere */
     atomic_size_t wholes;              /* photographs of which a mask leaves nothing */
-    atomic_size_t darks;               /* photographs in which nothing is bright */
+    atomic_size_t darks, whites;       /* photographs in which nothing is bright, or all is */
     atomic_size_t skies;               /* photographs that show the sky */
     size_t points[INGEST_POINT_VERDICTS];
 };

@@ -197,19 +197,25 @@ static enum err_code photo_copy_bytes(const char *from, const char *to, struct e
     return rc;
 }
 
-static bool photo_is_dark(const struct image *img)
+/* A usual photograph says so with its first rows. */
+static enum ingest_light photo_light(const struct image *img)
 {
-    for (size_t k = 0; k < (size_t)img->width_px * img->height_px * img->channels; k++)
-        if (img->px[k] > INGEST_DARK_MOST)
-            return false;
-    return true;
+    const size_t n = (size_t)img->width_px * img->height_px * img->channels, few = n / 16;
+    size_t below = 0;
+    bool dark = true;
+    for (size_t k = 0; k < n && (dark || below <= few); k++) {
+        dark = dark && img->px[k] <= INGEST_DARK_MOST;
+        below += img->px[k] < 255;
+    }
+    return dark ? INGEST_LIGHT_DARK : below <= few ? INGEST_LIGHT_WHITE : INGEST_LIGHT_USUAL;
 }
 
 enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from, const char *to,
-                                   const struct codec_limits *lim, bool *dark, struct err *e)
+                                   const struct codec_limits *lim, enum ingest_light *light,
+                                   struct err *e)
 {
     struct image img = {0};
-    *dark = false;
+    *light = INGEST_LIGHT_USUAL;
     enum err_code rc =
         image_read(from, lim, &img, e); /* also when it is only copied: it must be readable */
     if (rc)
@@ -219,7 +225,7 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
                      img.width_px, img.height_px, v->lens.width_px, v->lens.height_px);
         goto out;
     }
-    *dark = photo_is_dark(&img);
+    *light = photo_light(&img);
     bool same_size = img.width_px == v->pinhole.width_px && img.height_px == v->pinhole.height_px;
     if (!v->undistort && same_size && photo_same_suffix(from, to)) {
         rc = photo_copy_bytes(from, to, e);

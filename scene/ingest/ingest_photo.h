@@ -31,13 +31,15 @@ enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint3
  * outside. */
 bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, double x_px, double y_px,
                      double *u_px, double *v_px);
-/* The largest sample of a dark photograph. 14 bits in samples of 16 reach this much of 255. */
+/* The largest sample of a dark photograph: 14 bits in samples of 16 reach this much of 255. Of a
+ * white one hardly a sample is below 255, as where floats count to 255. */
+enum ingest_light { INGEST_LIGHT_USUAL, INGEST_LIGHT_DARK, INGEST_LIGHT_WHITE };
 enum { INGEST_DARK_MOST = 64 };
-/* Converts one photograph. If nothing changes and the format fits, its bytes are copied. *dark: no
- * sample is larger than INGEST_DARK_MOST. ERR_NOENT, ERR_FORMAT, ERR_LIMIT: the photograph cannot
- * be read. ERR_DATA: its size is not the camera's. ERR_IO, ERR_MEM. */
+/* Converts one photograph. If nothing changes and the format fits, its bytes are copied. *light:
+ * how bright it is. ERR_NOENT, ERR_FORMAT, ERR_LIMIT: the photograph cannot be read. ERR_DATA: its
+ * size is not the camera's. ERR_IO, ERR_MEM. */
 enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from, const char *to,
-                                   const struct codec_limits *lim, bool *dark,
+                                   const struct codec_limits *lim, enum ingest_light *light,
                                    struct err *e) ERR_USE;
 
 #endif

@@ -218,9 +218,9 @@ static void test_undistorted_pixels(void **state)
             struct ingest_view v;
             kit_ok(ingest_view_make(&lenses[l], 320, 240, edge, &v, &e), e);
             assert_int_equal(v.pinhole.width_px, edge);
-            bool dark = true;
-            kit_ok(ingest_photo_convert(&v, from, to, &(struct codec_limits){0}, &dark, &e), e);
-            assert_false(dark);
+            enum ingest_light light = INGEST_LIGHT_DARK;
+            kit_ok(ingest_photo_convert(&v, from, to, &(struct codec_limits){0}, &light, &e), e);
+            assert_int_equal(light, INGEST_LIGHT_USUAL);
             kit_ok(image_read(to, &(struct codec_limits){0}, &img, &e), e);
             double worst = 0;
             for (uint32_t y = 0; y < img.height_px; y++)
