@@ -234,9 +234,14 @@ enum err_code crs_set_vertical(struct crs *c, int epsg, struct err *e)
         rc = err_set(e, ERR_MEM, "EPSG:%d: out of memory", epsg);
     else if (!name || !gdal->OSRIsVertical(up))
         rc = err_set(e, ERR_IO, "EPSG:%d: PROJ's database has no such heights", epsg);
-    else if (fabs(gdal->OSRGetLinearUnits(up, NULL) - 1.0) > 1e-9 ||
+    else if (gdal->OSRGetAxesCount(up) != 1 ||
+             fabs(gdal->OSRGetLinearUnits(up, NULL) - 1.0) > 1e-9 ||
              !gdal->OSRGetAxis(up, NULL, 0, &axis) || axis != OAO_Up)
-        rc = err_set(e, ERR_ARG, "EPSG:%d (%s): not heights in metres: convert them", epsg, name);
+        rc = err_set(
+            e, ERR_ARG,
+            "EPSG:%d (%s): no system of heights in metres: give one, e.g. 5773, and heights "
+            "that are in it",
+            epsg, name);
     if (!rc)
         snprintf(text, sizeof text, "%s + %s", gdal->OSRGetName(c->plane), name);
     if (!rc && gdal->OSRSetCompoundCS(both, text, c->plane, up) != OGRERR_NONE)

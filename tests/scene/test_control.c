@@ -418,7 +418,7 @@ static const struct mistake mistakes[] = {
      FORM_ODM,
      "",
      2,
-     {"NAVD88 height (ftUS)", "not heights in metres"},
+     {"NAVD88 height (ftUS)", "no system of heights in metres"},
      false},
     {"feet", feet, EPSG, "EPSG:32632", FORM_ODM, "", 1, {"coordinates are in feet"}, false},
     {"US survey feet",
