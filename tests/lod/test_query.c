@@ -159,7 +159,7 @@ static void profiles_have_pixels_of_their_step(void **state)
 {
     double usual = nadir_area(f.nadir)->sigma_m;
     size_t own = changes(0), as_usual = changes(usual), large = changes(2);
-    /* 283, 132 and 36 when this was written; 239, 125 and 30 by clang, whose city differs a little */
+    /* 283, 132 and 36 when this was written; 239, 125 and 30 by clang: its city differs a little */
     if (2 * own < 3 * as_usual || large > as_usual / 3)
         fail_msg("%zu changes, %zu in pixels of %.2f m, %zu of 2 m", own, as_usual, usual, large);
 }
