@@ -37,10 +37,8 @@ enum { CITY_ARGS = 48, CITY_NAP_MS = 50, CITY_GPS_LEAST = 3 };
 
 static const struct options_def city_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct city_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct city_options, __VA_ARGS__)
 #include "cli/city.def"
-#undef OPT
 };
 
 static const struct options_spec city_spec = {

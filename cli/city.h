@@ -8,9 +8,8 @@
 #include "core/options/options.h"
 
 struct city_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/city.def"
-#undef OPT
 };
 struct city {
     const struct city_options *o;

@@ -10,10 +10,10 @@
 
 enum { ASK_PLACES_MAX = 15 }; /* the usage of these commands names it */
 struct ask_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/ask.def"
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/geoid.def"
-#undef OPT
 };
 /* Asks the store args->arg[0] and prints the answer. The places LON,LAT of the other arguments are
  * added to those of q. ERR_ARG: a place is none, or there is no answer. Else the errors of

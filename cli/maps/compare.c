@@ -13,22 +13,17 @@
 
 struct compare_options {
     struct maps_options maps;
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/compare.def"
-#undef OPT
 };
 
 static const struct options_def compare_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct compare_options, maps, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct compare_options, maps, __VA_ARGS__)
 #include "cli/maps/maps.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct compare_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct compare_options, __VA_ARGS__)
 #include "cli/maps/compare.def"
-#undef OPT
 };
 
 static const struct options_spec compare_spec = {

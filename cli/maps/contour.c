@@ -12,27 +12,20 @@
 struct contour_options {
     struct maps_options maps;
     struct geoid_options heights;
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/contour.def"
-#undef OPT
 };
 
 static const struct options_def contour_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct contour_options, maps, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct contour_options, maps, __VA_ARGS__)
 #include "cli/maps/maps.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct contour_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct contour_options, __VA_ARGS__)
 #include "cli/maps/contour.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct contour_options, heights, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct contour_options, heights, __VA_ARGS__)
 #include "cli/maps/geoid.def"
-#undef OPT
 };
 
 static const struct options_spec contour_spec = {

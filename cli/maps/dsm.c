@@ -15,33 +15,24 @@ struct dsm_options {
     struct geoid_options heights;
     struct ground_options bare;
     struct {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/dsm.def"
-#undef OPT
     } own;
 };
 
 static const struct options_def dsm_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct dsm_options, maps, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct dsm_options, maps, __VA_ARGS__)
 #include "cli/maps/maps.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct dsm_options, heights, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct dsm_options, heights, __VA_ARGS__)
 #include "cli/maps/geoid.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct dsm_options, bare, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct dsm_options, bare, __VA_ARGS__)
 #include "cli/maps/ground.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct dsm_options, own, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct dsm_options, own, __VA_ARGS__)
 #include "cli/maps/dsm.def"
-#undef OPT
 };
 
 static const struct options_spec dsm_spec = {

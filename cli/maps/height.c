@@ -6,24 +6,20 @@
 #include "cli/maps/ask.h"
 
 struct height_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/height.def"
-#undef OPT
     struct ask_options ask;
 };
 
 static const struct options_def height_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct height_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct height_options, __VA_ARGS__)
 #include "cli/maps/height.def"
-#undef OPT
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct height_options, ask, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct height_options, ask, __VA_ARGS__)
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #include "cli/maps/ask.def"
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(...) OPTIONS_ROW_IN(struct height_options, ask, __VA_ARGS__)
 #include "cli/maps/geoid.def"
-#undef OPT
 };
 
 static const struct options_spec height_spec = {

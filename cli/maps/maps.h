@@ -10,19 +10,16 @@
 #include "survey/map.h"
 
 struct maps_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/maps.def"
-#undef OPT
 };
 struct geoid_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/geoid.def"
-#undef OPT
 };
 struct ground_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/ground.def"
-#undef OPT
 };
 
 struct maps { /* free with maps_close */

@@ -11,24 +11,20 @@
 #include "codec/container/geojson.h"
 
 struct measure_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/measure.def"
-#undef OPT
     struct ask_options ask;
 };
 
 static const struct options_def measure_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct measure_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct measure_options, __VA_ARGS__)
 #include "cli/maps/measure.def"
-#undef OPT
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct measure_options, ask, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct measure_options, ask, __VA_ARGS__)
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #include "cli/maps/ask.def"
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(...) OPTIONS_ROW_IN(struct measure_options, ask, __VA_ARGS__)
 #include "cli/maps/geoid.def"
-#undef OPT
 };
 
 static const struct options_spec measure_spec = {

@@ -7,21 +7,16 @@
 
 struct ortho_options {
     struct maps_options maps;
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/ortho.def"
-#undef OPT
 };
 
 static const struct options_def ortho_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct ortho_options, maps, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct ortho_options, maps, __VA_ARGS__)
 #include "cli/maps/maps.def"
-#undef OPT
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct ortho_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct ortho_options, __VA_ARGS__)
 #include "cli/maps/ortho.def"
-#undef OPT
 };
 
 static const struct options_spec ortho_spec = {

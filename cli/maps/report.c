@@ -25,16 +25,13 @@
 #include "survey/sheet.h"
 
 struct report_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/maps/report.def"
-#undef OPT
 };
 
 static const struct options_def report_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct report_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct report_options, __VA_ARGS__)
 #include "cli/maps/report.def"
-#undef OPT
 };
 
 static const struct options_spec report_spec = {

@@ -24,10 +24,8 @@
 
 static const struct options_def align_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct align_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct align_options, __VA_ARGS__)
 #include "cli/scene/align.def"
-#undef OPT
 };
 
 static const struct options_spec align_spec = {

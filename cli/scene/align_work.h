@@ -21,9 +21,8 @@
 const struct options_spec *align_options(void);
 
 struct align_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/scene/align.def"
-#undef OPT
 };
 
 /* ALIGN_INLIERS: COLMAP's least number of inliers of a match */

@@ -14,16 +14,13 @@
 #include "core/outdir.h"
 
 struct import_odm_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/scene/import_odm.def"
-#undef OPT
 };
 
 static const struct options_def import_odm_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct import_odm_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct import_odm_options, __VA_ARGS__)
 #include "cli/scene/import_odm.def"
-#undef OPT
 };
 
 static const struct options_spec import_odm_spec = {

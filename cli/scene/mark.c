@@ -19,17 +19,14 @@
 #include "survey/crs.h"
 
 struct mark_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/scene/mark.def"
-#undef OPT
 };
 
 static const struct options_def mark_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct mark_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct mark_options, __VA_ARGS__)
 #include "cli/scene/mark.def"
-#undef OPT
 };
 
 static const struct options_spec mark_spec = {

@@ -13,16 +13,13 @@
 #define PLAN_RAD_PER_DEG 0.017453292519943295
 
 struct plan_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/scene/plan.def"
-#undef OPT
 };
 
 static const struct options_def plan_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct plan_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct plan_options, __VA_ARGS__)
 #include "cli/scene/plan.def"
-#undef OPT
 };
 
 static void plan_print(const struct scene *s, const struct partition *p)

@@ -11,16 +11,13 @@
 #include "scene/stereo/depths.h"
 
 struct stereo_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/scene/stereo.def"
-#undef OPT
 };
 
 static const struct options_def stereo_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct stereo_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct stereo_options, __VA_ARGS__)
 #include "cli/scene/stereo.def"
-#undef OPT
 };
 
 static enum err_code stereo_make(const struct stereo_options *o, const char *dir, struct err *e)

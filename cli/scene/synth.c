@@ -11,10 +11,8 @@
 #include "scene/synth/synth.h"
 
 static const struct options_def synth_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct synth_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct synth_config, __VA_ARGS__)
 #include "scene/synth/synth.def"
-#undef OPT
 };
 
 static const struct options_spec synth_spec = {

@@ -26,16 +26,13 @@ enum {
 };
 
 struct seed_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/serve/seed.def"
-#undef OPT
 };
 
 static const struct options_def seed_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct seed_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct seed_options, __VA_ARGS__)
 #include "cli/serve/seed.def"
-#undef OPT
 };
 
 static const struct options_spec seed_spec = {

@@ -21,10 +21,8 @@
 
 static const struct options_def serve_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct server_config, __VA_ARGS__)
 #include "server/base/options.def"
-#undef OPT
 };
 
 static const struct options_spec serve_spec = {

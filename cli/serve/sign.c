@@ -13,16 +13,13 @@
 #include "server/route/router.h"
 
 struct sign_config {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/serve/sign.def"
-#undef OPT
 };
 
 static const struct options_def sign_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct sign_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct sign_config, __VA_ARGS__)
 #include "cli/serve/sign.def"
-#undef OPT
 };
 
 static const struct options_spec sign_spec = {

@@ -11,16 +11,13 @@
 #include "cli/base/output.h"
 
 struct clip_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/clip.def"
-#undef OPT
 };
 
 static const struct options_def clip_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct clip_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct clip_options, __VA_ARGS__)
 #include "cli/tiles/clip.def"
-#undef OPT
 };
 
 static const struct options_spec clip_spec = {

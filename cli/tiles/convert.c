@@ -23,16 +23,13 @@
 #include "codec/splat/spz.h"
 
 struct convert_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/convert.def"
-#undef OPT
 };
 
 static const struct options_def convert_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct convert_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct convert_options, __VA_ARGS__)
 #include "cli/tiles/convert.def"
-#undef OPT
 };
 
 enum convert_format {

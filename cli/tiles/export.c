@@ -46,16 +46,13 @@ enum {
 };
 
 struct export_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/export.def"
-#undef OPT
 };
 
 static const struct options_def export_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct export_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct export_options, __VA_ARGS__)
 #include "cli/tiles/export.def"
-#undef OPT
 };
 
 static const struct options_spec export_spec = {

@@ -20,16 +20,13 @@
 enum { IMPORT_AXES_AUTO, IMPORT_AXES_ENU, IMPORT_AXES_YUP, IMPORT_AXES_YDOWN };
 
 struct import_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/import.def"
-#undef OPT
 };
 
 static const struct options_def import_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct import_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct import_options, __VA_ARGS__)
 #include "cli/tiles/import.def"
-#undef OPT
 };
 
 static const struct options_spec import_spec = {

@@ -19,16 +19,13 @@
 #include "lod/store/tree.h"
 
 struct info_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/info.def"
-#undef OPT
 };
 
 static const struct options_def info_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct info_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct info_options, __VA_ARGS__)
 #include "cli/tiles/info.def"
-#undef OPT
 };
 
 static const struct options_spec info_spec = {

@@ -10,16 +10,13 @@
 #include "lod/make/merge.h"
 
 struct merge_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/merge.def"
-#undef OPT
 };
 
 static const struct options_def merge_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct merge_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct merge_options, __VA_ARGS__)
 #include "cli/tiles/merge.def"
-#undef OPT
 };
 
 static const struct options_spec merge_spec = {

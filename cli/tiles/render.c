@@ -23,17 +23,14 @@
 #include "render/render.h"
 
 struct render_cli_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/render.def"
-#undef OPT
 };
 
 static const struct options_def render_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct render_cli_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct render_cli_options, __VA_ARGS__)
 #include "cli/tiles/render.def"
-#undef OPT
 };
 
 static const struct options_spec render_spec = {

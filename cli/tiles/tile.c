@@ -38,16 +38,13 @@
 enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };
 
 struct tile_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/tiles/tile.def"
-#undef OPT
 };
 
 static const struct options_def tile_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct tile_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct tile_options, __VA_ARGS__)
 #include "cli/tiles/tile.def"
-#undef OPT
 };
 
 static const struct options_spec tile_spec = {

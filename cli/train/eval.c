@@ -15,22 +15,17 @@
 
 struct eval_options {
     struct eval_city_options city;
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/train/eval.def"
-#undef OPT
 };
 
 static const struct options_def eval_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct eval_options, city, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct eval_options, city, __VA_ARGS__)
 #include "cli/train/eval_city.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct eval_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct eval_options, __VA_ARGS__)
 #include "cli/train/eval.def"
-#undef OPT
 };
 
 struct eval {

@@ -15,9 +15,8 @@
 #include "train/photographs/evaluate.h"
 
 struct eval_city_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "cli/train/eval_city.def"
-#undef OPT
 };
 
 struct eval_city { /* free with eval_city_close, also after an error */

@@ -6,19 +6,17 @@
  *     train/base/options.def:
  *       OPT(NUM, MORE, near_m, "0", 0, 1000, "m", "near plane")
  *       OPT(ENUM, EVERYDAY, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
+ *       #undef OPT
  *     train/base/config.h:
  *       struct train_config {
- *       #define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+ *       #define OPT OPTIONS_MEMBER
  *       #include "train/base/options.def"
- *       #undef OPT
  *       };
  *     train/base/config.c:
  *       static const struct options_def train_defs[] = {
  *       #define GROUP(title) OPTIONS_GROUP_ROW(title)
- *       #define OPT(type, tier, key, def, lo, hi, unit, help)
- *         OPTIONS_ROW(struct train_config, type, tier, key, def, lo, hi, unit, help)
+ *       #define OPT(...) OPTIONS_ROW(struct train_config, __VA_ARGS__)
  *       #include "train/base/options.def"
- *       #undef OPT
  *       };
  *
  * GROUP("title") begins a heading of the help; the options after it stand under that heading. A

@@ -33,6 +33,7 @@ struct options_nums {
 };
 typedef struct options_ints OPTIONS_C_INTS;
 typedef struct options_nums OPTIONS_C_NUMS;
+#define OPTIONS_MEMBER(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 
 enum options_type {
     OPTIONS_NUM,

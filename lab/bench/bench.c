@@ -27,16 +27,13 @@ struct bench_row {
 enum { BENCH_TEXT_MAX = 160 };
 
 struct bench_config {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/bench/bench.def"
-#undef OPT
 };
 
 static const struct options_def bench_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct bench_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct bench_config, __VA_ARGS__)
 #include "lab/bench/bench.def"
-#undef OPT
 };
 
 struct bench_entry {

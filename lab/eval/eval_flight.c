@@ -22,16 +22,13 @@
 #include "lod/store/tree.h"
 
 struct eval_flight_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/eval_flight.def"
-#undef OPT
 };
 
 static const struct options_def eval_flight_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct eval_flight_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct eval_flight_options, __VA_ARGS__)
 #include "lab/eval/eval_flight.def"
-#undef OPT
 };
 
 enum { EVAL_FLIGHT_WIDTH = 640, EVAL_FLIGHT_LEVELS = 256, EVAL_FLIGHT_MARGIN = 4 };

@@ -12,15 +12,11 @@
 
 static const struct options_def eval_lab_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW_IN(struct eval_lab_options, city, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW_IN(struct eval_lab_options, city, __VA_ARGS__)
 #include "cli/train/eval_city.def"
-#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct eval_lab_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct eval_lab_options, __VA_ARGS__)
 #include "lab/eval/eval_lab.def"
-#undef OPT
 };
 enum { EVAL_LAB_DEFS = sizeof eval_lab_defs / sizeof *eval_lab_defs, EVAL_LAB_OWN_MAX = 16 };
 

@@ -9,9 +9,8 @@
 
 struct eval_lab_options {
     struct eval_city_options city;
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/eval_lab.def"
-#undef OPT
 };
 struct eval_lab { /* {0} is empty; eval_lab_close */
     struct eval_lab_options o;

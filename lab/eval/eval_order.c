@@ -24,16 +24,13 @@
 #include "train/photographs/photo_loader.h"
 
 struct eval_order_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/eval_order.def"
-#undef OPT
 };
 
 static const struct options_def eval_order_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct eval_order_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct eval_order_options, __VA_ARGS__)
 #include "lab/eval/eval_order.def"
-#undef OPT
 };
 
 enum eval_order_way { EVAL_ORDER_ERROR, EVAL_ORDER_BEST, EVAL_ORDER_WAYS };

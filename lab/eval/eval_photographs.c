@@ -16,16 +16,13 @@
 #include "train/photographs/photo_loader.h"
 
 struct eval_photographs_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/eval_photographs.def"
-#undef OPT
 };
 
 static const struct options_def eval_photographs_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct eval_photographs_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct eval_photographs_options, __VA_ARGS__)
 #include "lab/eval/eval_photographs.def"
-#undef OPT
 };
 
 struct eval_photographs {

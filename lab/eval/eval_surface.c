@@ -418,16 +418,13 @@ enum err_code eval_surface_run(const struct eval_surface_request *q, struct rend
 /* ---- the command ---- */
 
 struct surface_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/eval_surface.def"
-#undef OPT
 };
 
 static const struct options_def surface_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct surface_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct surface_options, __VA_ARGS__)
 #include "lab/eval/eval_surface.def"
-#undef OPT
 };
 
 struct surface_command {

@@ -16,16 +16,13 @@
 #include "render/render.h"
 
 struct eval_views_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/eval_views.def"
-#undef OPT
 };
 
 static const struct options_def eval_views_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct eval_views_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct eval_views_options, __VA_ARGS__)
 #include "lab/eval/eval_views.def"
-#undef OPT
 };
 
 struct eval_views_kind {

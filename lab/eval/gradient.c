@@ -25,16 +25,13 @@
 #include <jansson.h>
 
 struct gradient_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/eval/gradient.def"
-#undef OPT
 };
 
 static const struct options_def gradient_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct gradient_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct gradient_options, __VA_ARGS__)
 #include "lab/eval/gradient.def"
-#undef OPT
 };
 
 /* The files, and the planes of the device layout they hold. */

@@ -24,16 +24,13 @@
 #include "train/base/config.h"
 
 struct chart_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/study/chart_scenes.def"
-#undef OPT
 };
 
 static const struct options_def chart_option_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct chart_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct chart_options, __VA_ARGS__)
 #include "lab/study/chart_scenes.def"
-#undef OPT
 };
 
 #define CHART_OF(name, kind, x, title)                                                             \

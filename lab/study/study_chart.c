@@ -20,16 +20,13 @@
 #include "lab/study/study.h"
 
 struct chart_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/study/study_chart.def"
-#undef OPT
 };
 
 static const struct options_def chart_option_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct chart_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct chart_options, __VA_ARGS__)
 #include "lab/study/study_chart.def"
-#undef OPT
 };
 
 static const struct chart_def chart_defs[] = {

@@ -23,16 +23,13 @@
 #include "train/base/config.h"
 
 struct record_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/study/study_record.def"
-#undef OPT
 };
 
 static const struct options_def record_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct record_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct record_options, __VA_ARGS__)
 #include "lab/study/study_record.def"
-#undef OPT
 };
 
 struct record_level { /* over cells */

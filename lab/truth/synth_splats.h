@@ -33,9 +33,8 @@ enum err_code synth_splats_make(const struct synth_splats *s, size_t n, size_t f
 /* ---- synth_splats_write.c ---- */
 
 struct synth_splats_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/truth/synth_splats.def"
-#undef OPT
 };
 /* Writes o->count Gaussians into o->output. A name that ends in .ply is one file with all of
  * them. Any other name is a folder that `citysplat tile` takes: a scene without photographs, whose

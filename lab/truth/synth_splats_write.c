@@ -299,10 +299,8 @@ enum err_code synth_splats_write(const struct synth_splats_options *o, struct er
 }
 
 static const struct options_def splats_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct synth_splats_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct synth_splats_options, __VA_ARGS__)
 #include "lab/truth/synth_splats.def"
-#undef OPT
 };
 
 enum err_code lab_synth_splats_write(int argc, char **argv, struct err *e)

@@ -521,10 +521,8 @@ out:
 }
 
 static const struct options_def views_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct synth_views_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct synth_views_options, __VA_ARGS__)
 #include "lab/truth/synth_views.def"
-#undef OPT
 };
 
 enum err_code lab_synth_views(int argc, char **argv, struct err *e)

@@ -9,9 +9,8 @@
 #include "scene/synth/synth.h"
 
 struct synth_views_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/truth/synth_views.def"
-#undef OPT
 };
 
 /* Writes views of the city that the same version of the program made in the folder `city` into

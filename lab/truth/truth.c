@@ -228,16 +228,13 @@ static enum err_code truth_tell(const struct truth_request *q, struct err *e)
 }
 
 struct truth_options {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "lab/truth/truth.def"
-#undef OPT
 };
 
 static const struct options_def truth_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct truth_options, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct truth_options, __VA_ARGS__)
 #include "lab/truth/truth.def"
-#undef OPT
 };
 
 enum err_code lab_truth(int argc, char **argv, struct err *e)

@@ -15,9 +15,8 @@ struct positions;
 struct ingest_survey; /* ingest_look.h */
 
 struct ingest_config {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "scene/ingest/ingest.def"
-#undef OPT
 };
 /* The table of struct ingest_config: flags, defaults, ranges, help. */
 const struct options_spec *ingest_options(void);

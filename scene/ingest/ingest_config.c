@@ -6,10 +6,8 @@
 
 static const struct options_def ingest_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct ingest_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct ingest_config, __VA_ARGS__)
 #include "scene/ingest/ingest.def"
-#undef OPT
 };
 
 const struct options_spec *ingest_options(void)

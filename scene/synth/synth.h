@@ -22,10 +22,10 @@ struct colmap_model;
 struct lens;
 
 struct synth_config {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "scene/synth/synth.def"
+#define OPT OPTIONS_MEMBER
 #include "scene/synth/synth_vary.def"
-#undef OPT
 };
 enum { SYNTH_PAINT_RICH, SYNTH_PAINT_TRICKY }; /* cfg->paint */
 /* The table of struct synth_config: flags, defaults, ranges, help. `citysplat synth` has those of

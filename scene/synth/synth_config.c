@@ -7,11 +7,10 @@
 
 static const struct options_def synth_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct synth_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct synth_config, __VA_ARGS__)
 #include "scene/synth/synth.def"
+#define OPT(...) OPTIONS_ROW(struct synth_config, __VA_ARGS__)
 #include "scene/synth/synth_vary.def"
-#undef OPT
 };
 
 const struct options_spec *synth_options(void)

@@ -14,10 +14,8 @@ void config_fix(struct server_config *out)
 enum err_code config_defaults(struct server_config *out, struct arena *a, struct err *e)
 {
     static const struct options_def defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct server_config, __VA_ARGS__)
 #include "server/base/options.def"
-#undef OPT
     };
     const struct options_spec spec = {
         .command = "serve", .defs = defs, .n_defs = sizeof defs / sizeof *defs};

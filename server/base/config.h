@@ -10,9 +10,8 @@
 #include "core/options/options.h"
 
 struct server_config { /* texts are borrowed and live as long as the server */
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "server/base/options.def"
-#undef OPT
 #define FIXED(type, key, value) OPTIONS_C_##type key;
 #include "server/base/fixed.def"
 #undef FIXED

@@ -26,10 +26,8 @@
 #include "tests/fuzz/fuzz.h"
 
 static const struct options_def serve_defs[] = {
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct server_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct server_config, __VA_ARGS__)
 #include "server/base/options.def"
-#undef OPT
 };
 static const struct options_spec serve_spec = {
     .command = "serve", .defs = serve_defs, .n_defs = sizeof serve_defs / sizeof *serve_defs};

@@ -6,10 +6,8 @@
 
 static const struct options_def train_defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
-#define OPT(type, tier, key, def, lo, hi, unit, help)                                              \
-    OPTIONS_ROW(struct train_config, type, tier, key, def, lo, hi, unit, help)
+#define OPT(...) OPTIONS_ROW(struct train_config, __VA_ARGS__)
 #include "train/base/options.def"
-#undef OPT
 };
 
 static const struct options_spec train_spec = {

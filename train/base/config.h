@@ -14,9 +14,8 @@ enum { TRAIN_LEVELS_MAX = 3, TRAIN_TURNS_MAX = 2 * TRAIN_LEVELS_MAX - 1 };
 #define TRAIN_COARSE_ID "coarse"
 
 struct train_config {
-#define OPT(type, tier, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#define OPT OPTIONS_MEMBER
 #include "train/base/options.def"
-#undef OPT
 };
 /* The table of struct train_config: flags, defaults, ranges, help. */
 const struct options_spec *train_options(void);
