@@ -77,9 +77,10 @@ static uint8_t mask_use_from(const char *path, const struct image *img)
     return most < MASK_USE ? 1 : MASK_USE;
 }
 
-static bool mask_apart(const uint8_t *a, const uint8_t *b, int most)
+static bool mask_apart(const uint8_t *a, const uint8_t *b)
 {
-    return abs(a[0] - b[0]) > most || abs(a[1] - b[1]) > most || abs(a[2] - b[2]) > most;
+    return abs(a[0] - b[0]) > MASK_COLOUR || abs(a[1] - b[1]) > MASK_COLOUR ||
+           abs(a[2] - b[2]) > MASK_COLOUR;
 }
 
 /* Black and one colour are a mask. Of several colours, as classes have, nothing says which are to
@@ -98,8 +99,8 @@ static enum err_code mask_check_colours(const char *path, const struct image *im
         coloured++;
     }
     for (size_t i = 0; colour && i < n; i++)
-        other += mask_value(img, i) >= MASK_COLOUR &&
-                 mask_apart(img->px + i * img->channels, colour, MASK_COLOUR);
+        other +=
+            mask_value(img, i) >= MASK_COLOUR && mask_apart(img->px + i * img->channels, colour);
     if (coloured <= n / MASK_FEW || other <= n / MASK_FEW)
         return ERR_OK;
     return err_set(e, ERR_DATA,
