@@ -165,15 +165,14 @@ void geojson_free(struct geojson_area *a)
     *a = (struct geojson_area){0};
 }
 
-bool geojson_holds(const struct geojson_area *a, double lon_deg, double lat_deg)
+bool geojson_holds(const struct geojson_edge *edges, size_t n, double x, double y)
 {
     bool in = false;
-    for (size_t i = 0; i < a->n; i++) {
-        const double *p = a->edges[i].from, *q = a->edges[i].to;
-        if (in && i && a->edges[i].polygon != a->edges[i - 1].polygon)
+    for (size_t i = 0; i < n; i++) {
+        const double *p = edges[i].from, *q = edges[i].to;
+        if (in && edges[i].polygon != edges[i - 1].polygon)
             return true;
-        if ((p[1] > lat_deg) != (q[1] > lat_deg) &&
-            lon_deg < p[0] + (lat_deg - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
+        if ((p[1] > y) != (q[1] > y) && x < p[0] + (y - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
             in = !in;
     }
     return in;

@@ -12,7 +12,7 @@
 
 enum { GEOJSON_CORNERS_MAX = 20000 }; /* of one ring */
 struct geojson_edge {
-    double from[2], to[2]; /* longitude, latitude */
+    double from[2], to[2]; /* longitude, latitude, or what they were projected to */
     size_t polygon, ring;  /* numbers of its polygon and ring, which do not fall */
 };
 struct geojson_area {           /* {0} is empty; free with geojson_free */
@@ -30,8 +30,8 @@ enum err_code geojson_read(const char *path, struct geojson_area *out, struct er
 enum err_code geojson_of_ring(const double (*at)[2], size_t n, struct geojson_area *out,
                               struct err *e) ERR_USE;
 void geojson_free(struct geojson_area *a);
-/* Whether the place is inside of a polygon: in its outer ring and not in a hole. Polygons may
- * overlap, or lie in each other. */
-bool geojson_holds(const struct geojson_area *a, double lon_deg, double lat_deg);
+/* Whether the place, in the edges' units, is inside of a polygon: in its outer ring and not in a
+ * hole. Polygons may overlap, or lie in each other. */
+bool geojson_holds(const struct geojson_edge *edges, size_t n, double x, double y);
 
 #endif

@@ -46,7 +46,7 @@ void clip_free(struct clip *c)
 bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m)
 {
     return h_m >= c->low_m && h_m <= c->high_m &&
-           (!c->area.n || geojson_holds(&c->area, lon_deg, lat_deg));
+           (!c->area.n || geojson_holds(c->area.edges, c->area.n, lon_deg, lat_deg));
 }
 
 enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, struct gauss *g,

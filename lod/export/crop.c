@@ -53,7 +53,7 @@ enum err_code crop_box(const struct clip *c, const struct geo_origin *origin, co
     for (size_t i = 0; i < c->area.n; i++)
         if (crop_edge_meets(&c->area.edges[i], box))
             return ERR_OK;
-    *out = geojson_holds(&c->area, box[0], box[1]) ? CROP_INSIDE : CROP_OUTSIDE;
+    *out = geojson_holds(c->area.edges, c->area.n, box[0], box[1]) ? CROP_INSIDE : CROP_OUTSIDE;
     return ERR_OK;
 }
 

@@ -24,11 +24,6 @@ static int area_compare(const void *a, const void *b)
     return (x->sigma_m > y->sigma_m) - (x->sigma_m < y->sigma_m);
 }
 
-static bool area_leaf(const struct tree *t, size_t i)
-{
-    return tree_leaf(t, i);
-}
-
 /* Sorts sigmas into bins by their sign, exponent and four bits more; or all into one. */
 enum { AREA_BINS = 1 << 16 };
 static size_t area_bin(double sigma_m, size_t bins)
@@ -46,7 +41,7 @@ static bool area_next(const struct store *s, size_t *i, struct area_weight *w)
     size_t n;
     const struct store_tile *tiles = store_tiles(s, &n);
     for (; *i < n; ++*i)
-        if (area_leaf(store_tree(s), *i) && tiles[*i].count > 0) {
+        if (tree_leaf(store_tree(s), *i) && tiles[*i].count > 0) {
             *w = (struct area_weight){index_sigma_median_m(store_tree(s)->index, *i),
                                       tiles[*i].count};
             ++*i;
@@ -153,14 +148,15 @@ struct area_box { /* degrees */
 };
 
 /* One ring of GeoJSON positions; false: it is none. */
-static bool area_add_ring(struct area *a, const json_t *ring, size_t *room, struct area_box *box)
+static bool area_add_ring(struct area *a, const json_t *ring, size_t polygon, size_t *room,
+                          struct area_box *box)
 {
     size_t n = json_array_size(ring);
     if (n < 4 || n > *room)
         return false;
     for (size_t i = 0; i + 1 < n; i++) {
-        struct area_edge *edge = &a->edges[a->n_edges++];
-        edge->first = false;
+        struct geojson_edge *edge = &a->edges[a->n_edges++];
+        edge->polygon = polygon;
         for (size_t k = 0; k < 2; k++) {
             const json_t *at = json_array_get(ring, i + k);
             double lon = json_number_value(json_array_get(at, 0)),
@@ -209,17 +205,14 @@ static enum err_code area_add_layer(struct area *a, const json_t *feature, bool 
     *ok = n >= 4 && n + before <= AREA_EDGES_MAX && a->n_layers < AREA_LAYERS_MAX;
     if (!*ok)
         return ERR_OK;
-    struct area_edge *edges = mem_resize(a->edges, before, before + n, sizeof *edges);
+    struct geojson_edge *edges = mem_resize(a->edges, before, before + n, sizeof *edges);
     if (!edges)
         return err_set(e, ERR_MEM, "out of memory for an outline of %zu corners", n);
     a->edges = edges;
     for (size_t i = 0; *ok && i < json_array_size(polygons); i++) {
         const json_t *polygon = json_array_get(polygons, i);
-        const size_t first = a->n_edges;
         for (size_t r = 0; *ok && r < json_array_size(polygon); r++)
-            *ok = area_add_ring(a, json_array_get(polygon, r), &room, &box);
-        if (*ok && a->n_edges > first)
-            a->edges[first].first = true;
+            *ok = area_add_ring(a, json_array_get(polygon, r), i, &room, &box);
     }
     if (!*ok) {
         a->n_edges = before;
@@ -278,7 +271,7 @@ enum err_code area_make(const struct store *s, struct area *out, struct err *e)
     const struct index *x = store_tree(s)->index;
     struct area_span span[KEY_ZOOM_MAX + 1] = {0};
     for (size_t i = 0; !rc && i < n; i++) {
-        a.in[i] = area_leaf(store_tree(s), i) && tiles[i].count > 0 &&
+        a.in[i] = tree_leaf(store_tree(s), i) && tiles[i].count > 0 &&
                   index_sigma_median_m(x, i) <= AREA_COARSE * a.sigma_m;
         if (a.in[i]) {
             const struct store_shape shape = index_bounds(x, i);
@@ -324,20 +317,6 @@ static bool area_tile_holds(const struct area *a, struct key k)
     }
 }
 
-static bool area_layer_holds(const struct area *a, size_t layer, const double at[2])
-{
-    bool in = false;
-    for (size_t i = a->layer[layer]; i < a->layer[layer + 1]; i++) {
-        const double *p = a->edges[i].from, *q = a->edges[i].to;
-        if (in && a->edges[i].first)
-            return true;
-        if ((p[1] > at[1]) != (q[1] > at[1]) &&
-            at[0] < p[0] + (at[1] - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
-            in = !in;
-    }
-    return in;
-}
-
 bool area_holds(const struct area *a, double lon_deg, double lat_deg)
 {
     double at[2];
@@ -345,7 +324,7 @@ bool area_holds(const struct area *a, double lon_deg, double lat_deg)
               area_tile_holds(a, key_at(lon_deg, lat_deg, store_info(a->store)->zoom_max));
     key_place(lon_deg, lat_deg, at);
     for (size_t l = 0; in && l < a->n_layers; l++)
-        in = area_layer_holds(a, l, at);
+        in = geojson_holds(a->edges + a->layer[l], a->layer[l + 1] - a->layer[l], at[0], at[1]);
     return in;
 }
 
@@ -411,7 +390,7 @@ static void area_mask_row(const struct area *a, size_t layer, const double left[
         const double *p = a->edges[i].from, *q = a->edges[i].to;
         double p_side = d[0] * (p[1] - left[1]) - d[1] * (p[0] - left[0]),
                q_side = d[0] * (q[1] - left[1]) - d[1] * (q[0] - left[0]);
-        if (crossed && a->edges[i].first) {
+        if (crossed && a->edges[i].polygon != a->edges[i - 1].polygon) {
             area_mask_polygon(w, in);
             crossed = false;
         }

@@ -12,25 +12,21 @@
 #ifndef LOD_AREA_H
 #define LOD_AREA_H
 
+#include "codec/container/geojson.h"
 #include "lod/store/store.h"
 
 enum { AREA_LAYERS_MAX = 8 };
 /* a tile is background if its median sigma is this many times the usual one */
 #define AREA_COARSE 4.0
 
-struct area_edge { /* edge of an outline, in the Mercator square (key_place) */
-    double from[2], to[2];
-    bool first; /* of its polygon, whose edges follow each other */
-};
 struct area {                  /* {0} is empty; free with area_free */
     const struct store *store; /* borrowed */
     bool *in;                  /* by index into store_tiles: was the tile surveyed? */
     size_t n_in;
-    /* Outlines, each of polygons that may overlap. A polygon has holes by the even-odd rule of its
-     * rings. Ground inside all outlines was surveyed. The first is the
-     * store's footprint; if there is none (by_tiles), `in` decides instead. The others are the
-     * polygons that the store was clipped to. */
-    struct area_edge *edges; /* NULL: none */
+    /* Outlines, in the Mercator square (key_place). Ground inside all outlines was surveyed. The
+     * first is the store's footprint; if there is none (by_tiles), `in` decides instead. The others
+     * are the polygons that the store was clipped to. */
+    struct geojson_edge *edges; /* NULL: none */
     /* layer: first edge of each outline, then the end */
     size_t n_edges, n_layers, layer[AREA_LAYERS_MAX + 1];
     bool by_tiles;

@@ -15,6 +15,7 @@
 #include "codec/container/geojson.h"
 #include "core/base.h"
 #include "core/geo/geo.h"
+#include "core/geo/outline.h"
 #include "scene/cells/footprint.h"
 #include "scene/cells/footprint_internal.h"
 
@@ -148,25 +149,16 @@ static enum err_code shape_contours(const struct footprint *f, struct shape *out
 
 /* ---- to GeoJSON ---- */
 
-static bool shape_contains(const struct shape_ring *r, const double p[2])
-{
-    bool in = false;
-    for (size_t i = 0; i < r->n; i++) {
-        const double *a = r->at[i], *b = r->at[(i + 1) % r->n];
-        if ((a[1] > p[1]) != (b[1] > p[1]))
-            in ^= p[0] < a[0] + (p[1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
-    }
-    return in;
-}
-
 /* The smallest outer ring around a hole; SHAPE_NONE: none. */
 static size_t shape_owner(const struct shape *s, const struct shape_ring *hole)
 {
     size_t best = SHAPE_NONE;
-    for (size_t i = 0; i < s->n; i++)
-        if (s->rings[i].area_m2 > 0.0 && shape_contains(&s->rings[i], hole->at[0]) &&
-            (best == SHAPE_NONE || s->rings[i].area_m2 < s->rings[best].area_m2))
+    for (size_t i = 0; i < s->n; i++) {
+        const struct shape_ring *r = &s->rings[i];
+        if (r->area_m2 > 0.0 && (best == SHAPE_NONE || r->area_m2 < s->rings[best].area_m2) &&
+            outline_holds((const double(*)[2])r->at, r->n, hole->at[0][0], hole->at[0][1]))
             best = i;
+    }
     return best;
 }
 

@@ -193,7 +193,7 @@ void fuzz_geojson(const uint8_t *bytes, size_t n)
             bool last = i + 1 == a.n || a.edges[i + 1].ring != edge->ring;
             assert(last || !memcmp(edge->to, a.edges[i + 1].from, sizeof edge->to));
         }
-        (void)geojson_holds(&a, a.edges[0].from[0], a.edges[0].from[1]);
+        (void)geojson_holds(a.edges, a.n, a.edges[0].from[0], a.edges[0].from[1]);
     }
     geojson_free(&a);
 }

@@ -213,7 +213,8 @@ static void test_polygons_add_up(void **state)
     for (size_t i = 0; i < sizeof places / sizeof *places; i++) {
         double enu[3];
         kit_ok(geo_to_enu(&origin, places[i].lon, places[i].lat, 280, enu, &e), e);
-        assert_int_equal(geojson_holds(&area, places[i].lon, places[i].lat), places[i].in);
+        assert_int_equal(geojson_holds(area.edges, area.n, places[i].lon, places[i].lat),
+                         places[i].in);
         assert_true(weight(&f, enu[0], enu[1], 0, 0.1) == (places[i].in ? 1.0 : 0.0));
     }
     geojson_free(&area);
