@@ -33,6 +33,21 @@ const char *kit_err(enum err_code code); /* its name, "ERR_IO" */
             fail_msg("%s: got %s (%s), want %s", #call, kit_err(kit_rc), (e).msg, kit_err(want));  \
         kit_expect_text((e).msg, part, __FILE__, __LINE__);                                        \
     } while (0)
+/* Expects ERR_MEM while the first allocation of the call fails, then the second, and so on, and
+ * ERR_OK when it has made all its allocations, at least `least`. The call frees what an earlier one
+ * left, if need be: (buf_free(&b), spz_encode(...)). */
+#define kit_out_of_memory(call, least, e)                                                          \
+    do {                                                                                           \
+        enum err_code kit_rc = ERR_MEM;                                                            \
+        size_t kit_k = 0;                                                                          \
+        while (kit_rc == ERR_MEM && ++kit_k < 10000) {                                             \
+            mem_fail_at(kit_k);                                                                    \
+            kit_rc = (call);                                                                       \
+            mem_fail_at(0);                                                                        \
+        }                                                                                          \
+        if (kit_rc != ERR_OK || kit_k <= (least))                                                  \
+            fail_msg("%s: allocation %zu fails: %s: %s", #call, kit_k, kit_err(kit_rc), (e).msg);  \
+    } while (0)
 void kit_expect_text(const char *msg, const char *part, const char *file, int line);
 
 /* Expects |got - want| <= abs_tol + rel_tol * |want| for all n values, else names the worst index.

@@ -258,28 +258,13 @@ static void a_failed_write_leaves_the_old_file_alone(void **state)
 static void running_out_of_memory_is_an_error_and_nothing_leaks(void **state)
 {
     struct fixture f;
+    struct ckpt c = {0};
     struct err e = {0};
     fixture_make(&f, 3, 0);
     kit_ok(ckpt_write(f.path, f.meta, &f.g, f.blobs, 3, &e), e);
-    enum err_code rc = ERR_MEM;
-    size_t k = 1;
-    for (; rc == ERR_MEM && k < 100; k++) {
-        struct ckpt c;
-        mem_fail_at(k);
-        rc = ckpt_read(f.path, &c, &e);
-        mem_fail_at(0);
-        assert_true(!rc || rc == ERR_MEM);
-        ckpt_free(&c);
-    }
-    assert_int_equal(rc, ERR_OK);
-    assert_true(k > 3);
-    for (rc = ERR_MEM, k = 1; rc == ERR_MEM && k < 100; k++) {
-        mem_fail_at(k);
-        rc = ckpt_write(f.path, f.meta, &f.g, f.blobs, 3, &e);
-        mem_fail_at(0);
-        assert_true(!rc || rc == ERR_MEM);
-    }
-    assert_int_equal(rc, ERR_OK);
+    kit_out_of_memory((ckpt_free(&c), ckpt_read(f.path, &c, &e)), 2, e);
+    kit_out_of_memory(ckpt_write(f.path, f.meta, &f.g, f.blobs, 3, &e), 1, e);
+    ckpt_free(&c);
     fixture_free(&f);
 }
 

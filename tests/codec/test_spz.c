@@ -580,27 +580,13 @@ static void test_out_of_memory(void **state)
 {
     for (int version = 3; version <= 4; version++) {
         struct gauss g;
-        struct quant q = {0}, back;
+        struct quant q, back;
         struct buf b = {0};
         struct err e = {0};
         kit_gauss(6, 20, 100, 2, 0, &g);
-        enum err_code rc = ERR_MEM;
-        for (size_t k = 1; rc == ERR_MEM && k < 100; k++) {
-            buf_free(&b);
-            mem_fail_at(k);
-            rc = quant_from_gauss(&g, 2, NULL, &q, &e);
-            if (!rc && (rc = spz_encode(&q, version, &b, &e)) != ERR_OK)
-                quant_free(&q);
-            mem_fail_at(0);
-        }
-        kit_ok(rc, e);
-        rc = ERR_MEM;
-        for (size_t k = 1; rc == ERR_MEM && k < 100; k++) {
-            mem_fail_at(k);
-            rc = spz_decode(b.data, b.size, NULL, &back, &e);
-            mem_fail_at(0);
-        }
-        kit_ok(rc, e);
+        kit_out_of_memory(quant_from_gauss(&g, 2, NULL, &q, &e), 1, e);
+        kit_out_of_memory((buf_free(&b), spz_encode(&q, version, &b, &e)), 1, e);
+        kit_out_of_memory(spz_decode(b.data, b.size, NULL, &back, &e), 1, e);
         quant_kit_same(&q, &back);
         quant_free(&q);
         quant_free(&back);
