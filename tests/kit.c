@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
+#include <time.h>
 
 #include "core/splat/camera.h"
 
@@ -18,6 +19,12 @@ const char *kit_err(enum err_code code)
 #define KIT_NAME(name, text) #name,
     static const char *const names[] = {ERR_LIST(KIT_NAME)};
     return names[code];
+}
+
+void nap_ms(long ms)
+{
+    const struct timespec ts = {.tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000};
+    nanosleep(&ts, NULL);
 }
 
 void kit_expect_text(const char *msg, const char *part, const char *file, int line)

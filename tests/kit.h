@@ -48,6 +48,16 @@ const char *kit_err(enum err_code code); /* its name, "ERR_IO" */
         if (kit_rc != ERR_OK || kit_k <= (least))                                                  \
             fail_msg("%s: allocation %zu fails: %s: %s", #call, kit_k, kit_err(kit_rc), (e).msg);  \
     } while (0)
+/* Waits until the condition holds, which is looked at every millisecond. Fails when it does not
+ * within PATIENCE_S, far longer than a busy machine needs. */
+#define PATIENCE_S 20.0
+#define kit_await(condition)                                                                       \
+    do {                                                                                           \
+        for (double kit_end_s = clock_s() + PATIENCE_S; !(condition); nap_ms(1))                   \
+            if (clock_s() > kit_end_s)                                                             \
+                fail_msg("not in %.0f s: %s", PATIENCE_S, #condition);                             \
+    } while (0)
+void nap_ms(long ms);
 void kit_expect_text(const char *msg, const char *part, const char *file, int line);
 
 /* Expects |got - want| <= abs_tol + rel_tol * |want| for all n values, else names the worst index.

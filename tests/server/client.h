@@ -20,10 +20,7 @@
 #include <stdlib.h>
 #include <strings.h>
 #include <sys/socket.h>
-#include <time.h>
 #include <unistd.h>
-
-static const double PATIENCE_S = 20; /* longest wait for an answer */
 
 static struct {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], rev[13];
@@ -248,7 +245,6 @@ static inline void start(void)
  * request's deadline. */
 static inline bool start_with_device(void)
 {
-    const struct timespec nap = {.tv_nsec = 20000000};
     struct err e = {0};
     struct dev dev;
     if (t.server)
@@ -262,7 +258,7 @@ static inline bool start_with_device(void)
     start();
     const struct picture *p = server_services(t.server)->picture;
     for (double end_s = clock_s() + 60; picture_state(p) == PICTURE_STARTING && clock_s() < end_s;)
-        nanosleep(&nap, NULL);
+        nap_ms(20);
     return true;
 }
 
@@ -323,17 +319,9 @@ static inline uint64_t connections(void)
     return atomic_load(&server_services(t.server)->metrics.connections);
 }
 
-static inline void nap_ms(long ms)
-{
-    const struct timespec ts = {.tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000};
-    nanosleep(&ts, NULL);
-}
-
 static inline void await_no_connections(void)
 {
-    for (double end_s = clock_s() + PATIENCE_S; connections() && clock_s() < end_s;)
-        nap_ms(5);
-    assert_int_equal(connections(), 0);
+    kit_await(!connections());
 }
 
 /* Parts of most requests. */

@@ -163,9 +163,7 @@ static inline struct view_stream_counts counts(void)
 
 static inline void await_streams(uint64_t n)
 {
-    for (double end_s = clock_s() + PATIENCE_S; counts().streams != n && clock_s() < end_s;)
-        nap_ms(2);
-    assert_int_equal(counts().streams, n);
+    kit_await(counts().streams == n);
 }
 
 /* A server that draws, or the test is skipped. */

@@ -443,10 +443,8 @@ static void ask_all(struct hash128 hash[EXTS], uint64_t written)
         buf_free(&r.raw);
     }
     struct disk *d = server_services(t.server)->disk;
-    for (double end_s = clock_s() + PATIENCE_S;
-         count(d).written + count(d).failed < written && clock_s() < end_s;)
-        nap_ms(2); /* they are written when the answers are out */
-    assert_int_equal(count(d).written + count(d).failed, written);
+    /* they are written when the answers are out */
+    kit_await(count(d).written + count(d).failed == written);
 }
 
 static void test_server(void **state)

@@ -275,19 +275,13 @@ static void test_one_of_two_hangs(void **state)
         skip();
     (void)await_picture(0);
     const struct picture *p = server_services(t.server)->picture;
-    for (double end_s = clock_s() + PATIENCE_S; picture_status(p, &st) < 2;) {
-        assert_true(clock_s() < end_s);
-        nap_ms(10);
-    }
+    kit_await(picture_status(p, &st) >= 2);
     fault_set("ever");
     snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
              view_of(1, "64x64.jpg", target));
     int fd = dial(t.port);
     say(fd, request);
-    for (double end_s = clock_s() + PATIENCE_S; !access(fault_path, F_OK);) {
-        assert_true(clock_s() < end_s);
-        nap_ms(1);
-    }
+    kit_await(access(fault_path, F_OK));
     for (int i = 0; drawing().kills == 0; i++) {
         assert_int_equal(status_of("GET", view_of(2 + i % 300, "64x64.jpg", target), ""), 200);
         alone = alone || drawing().kills == 0;
@@ -299,10 +293,7 @@ static void test_one_of_two_hangs(void **state)
     assert_true(alone);
     assert_true(drawing().failing_s <= 0); /* one was well all the time */
     assert_true(readyz_says("\"ready\""));
-    for (double end_s = clock_s() + PATIENCE_S; picture_status(p, &st) < 2;) {
-        assert_true(clock_s() < end_s);
-        nap_ms(10);
-    }
+    kit_await(picture_status(p, &st) >= 2);
     assert_int_equal(st.starts, 3);
     assert_int_equal(st.kills, 1);
     (void)await_picture(3);
@@ -323,8 +314,7 @@ static void test_stopping_while_it_hangs(void **state)
              view_of(1, "64x64.jpg", target));
     int fd = dial(t.port);
     say(fd, request);
-    for (double end_s = clock_s() + PATIENCE_S; !access(fault_path, F_OK) && clock_s() < end_s;)
-        nap_ms(1);
+    kit_await(access(fault_path, F_OK));
     double start_s = clock_s();
     assert_true(server_stop(&t.server));
     assert_true(clock_s() - start_s < 6);
@@ -355,8 +345,7 @@ static void test_giving_up(void **state)
                 break;
         }
         close(fd);
-        for (double end_s = clock_s() + PATIENCE_S; !job_idle(s->jobs) && clock_s() < end_s;)
-            nap_ms(1);
+        kit_await(job_idle(s->jobs));
     }
     assert_true(drawing().cancels >= 1);
     assert_int_equal(drawing().starts, 1);

@@ -631,7 +631,6 @@ static void nobody_is_woken(struct job_waiter *w)
 /* A question of 256 pictures, whose client goes after the first. */
 static void questions_end_with_their_client(void **state)
 {
-    const struct timespec nap = {.tv_nsec = 1000000};
     struct job_stats st = {0};
     struct job_waiter waiter = {.wake = nobody_is_woken};
     if (!start_drawing())
@@ -659,14 +658,9 @@ static void questions_end_with_their_client(void **state)
     job_count(s->jobs, &st);
     uint64_t cancelled = st.ended[JOB_MAP][JOB_CANCELLED]; /* of the tests before */
     assert_int_equal(job_submit(s->jobs, JOB_MAP, w->id, w, 1, 60, &waiter), ERR_OK);
-    double end_s = clock_s() + PATIENCE_S;
-    do {
-        nanosleep(&nap, NULL);
-        job_count(s->jobs, &st);
-    } while (!st.running[JOB_MAP] && clock_s() < end_s);
+    kit_await((job_count(s->jobs, &st), st.running[JOB_MAP]));
     assert_true(job_leave(s->jobs, &waiter));
-    while (!job_idle(s->jobs) && clock_s() < end_s)
-        nanosleep(&nap, NULL);
+    kit_await(job_idle(s->jobs));
     job_count(s->jobs, &st);
     assert_int_equal(st.ended[JOB_MAP][JOB_CANCELLED], cancelled + 1);
 }

@@ -174,19 +174,13 @@ static void test_gone_clients(void **state)
         fd[i] = dial(t.port);
         say(fd[i], request);
     }
-    for (double end_s = clock_s() + PATIENCE_S; clock_s() < end_s;) {
-        job_count(s->jobs, &st);
-        if (st.queued[JOB_VIEW] + st.running[JOB_VIEW] + st.ended[JOB_VIEW][JOB_OK] == CLIENTS)
-            break;
-        nap_ms(1);
-    }
+    kit_await((job_count(s->jobs, &st),
+               st.queued[JOB_VIEW] + st.running[JOB_VIEW] + st.ended[JOB_VIEW][JOB_OK] == CLIENTS));
     for (int i = 0; i < CLIENTS; i++)
         close(fd[i]);
     await_no_connections();
-    for (double end_s = clock_s() + PATIENCE_S; !job_idle(s->jobs) && clock_s() < end_s;)
-        nap_ms(5);
+    kit_await(job_idle(s->jobs));
     job_count(s->jobs, &st);
-    assert_true(job_idle(s->jobs));
     assert_true(st.ended[JOB_VIEW][JOB_CANCELLED] >= 1);
     assert_int_equal(st.ended[JOB_VIEW][JOB_OK] + st.ended[JOB_VIEW][JOB_CANCELLED], CLIENTS);
     assert_int_equal(status_of("GET", view_target(POSE, "32x32.png", target), ""), 200);

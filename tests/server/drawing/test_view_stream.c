@@ -205,9 +205,7 @@ static void test_come_and_go(void **state)
         await_streams(0);
     }
     struct services *s = server_services(t.server);
-    for (double end_s = clock_s() + PATIENCE_S; !job_idle(s->jobs) && clock_s() < end_s;)
-        nap_ms(5);
-    assert_true(job_idle(s->jobs));
+    kit_await(job_idle(s->jobs));
     await_no_connections();
 }
 

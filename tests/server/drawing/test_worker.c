@@ -17,18 +17,9 @@
 #include <sys/socket.h>
 #include <sys/wait.h>
 #include <sysexits.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "server/drawing/worker.h"
-
-static const double PATIENCE_S = 20;
-
-static void nap_ms(long ms)
-{
-    const struct timespec ts = {.tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000};
-    nanosleep(&ts, NULL);
-}
 
 static size_t open_files(void)
 {
@@ -194,13 +185,6 @@ static struct worker_status status(void)
     return st;
 }
 
-static void await_state(enum worker_state want)
-{
-    for (double end_s = clock_s() + PATIENCE_S; status().state != want && clock_s() < end_s;)
-        nap_ms(1);
-    assert_int_equal(status().state, want);
-}
-
 /* Ask with a descriptor; waits until it is ready first. */
 static enum err_code ask_with(const char *request, int fd, struct err *e)
 {
@@ -231,13 +215,6 @@ static bool is_gone(pid_t pid)
     return !after || after[2] == 'Z';
 }
 
-static void await_gone(pid_t pid)
-{
-    for (double end_s = clock_s() + PATIENCE_S; !is_gone(pid) && clock_s() < end_s;)
-        nap_ms(1);
-    assert_true(is_gone(pid));
-}
-
 static const struct worker_config quick = {.start_s = 10,
                                            .ask_s = 10,
                                            .pause_s = 0.2,
@@ -260,7 +237,7 @@ static void test_renewed(void **state)
         assert_int_equal(out.size, 8);
         assert_int_not_equal(status().pid, was);
         assert_int_equal(status().renewals, i);
-        await_gone(was);
+        kit_await(is_gone(was));
     }
     assert_int_equal(status().crashes, 0);
     assert_int_equal(status().kills, 0);
@@ -308,7 +285,7 @@ static void test_answers(void **state)
     assert_int_equal(st.crashes + st.kills, 0);
     assert_true(st.peak_bytes > 0 && st.failing_s == 0);
     end(NULL);
-    await_gone(st.pid);
+    kit_await(is_gone(st.pid));
     assert_int_equal(open_files(), before);
 }
 
@@ -321,7 +298,7 @@ static void crash(const char *request)
     double start_s = clock_s();
     kit_fails(ask(request, &e), ERR_DEVICE, e, "the process that draws ended at this");
     assert_true(status().state != WORKER_READY || status().pid != pid);
-    await_gone(pid);
+    kit_await(is_gone(pid));
     kit_ok(ask("e1", &e), e);
     print_message("ready again after %.3f s\n", clock_s() - start_s);
     assert_true(status().pid != pid);
@@ -359,7 +336,7 @@ static void test_hang(void **state)
     kit_fails(ask("h", &e), ERR_DEVICE, e, "not made in");
     assert_true(clock_s() - start_s >= 0.3);
     kit_ok(ask("e1", &e), e);
-    await_gone(pid);
+    kit_await(is_gone(pid));
     assert_int_equal(status().kills, 1);
     assert_int_equal(status().crashes, 0);
 }
@@ -394,8 +371,7 @@ static void test_pauses(void **state)
     for (int i = 0; i < 4; i++) {
         kit_fails(ask("s", &e), ERR_DEVICE, e, NULL); /* waits for the start, if there is one */
         double ended_s = clock_s();
-        for (double end_s = clock_s() + PATIENCE_S; status().wait_s <= 0 && clock_s() < end_s;)
-            continue;
+        kit_await(status().wait_s > 0);
         double wait_s = status().wait_s, start_s = clock_s();
         kit_fails(ask("e1", &e), ERR_BUSY, e, "times in a row; it is started again in");
         assert_true(clock_s() - start_s < wait_s);
@@ -403,8 +379,7 @@ static void test_pauses(void **state)
         last_s = status().failing_s;
         double want_s = i < 2 ? 0.2 * (1 << i) : i < 3 ? 0.8 : 1; /* 1: as long as it gets */
         assert_true(wait_s <= want_s && wait_s + start_s - ended_s > want_s / 2);
-        for (double end_s = clock_s() + PATIENCE_S; status().wait_s > 0 && clock_s() < end_s;)
-            nap_ms(2);
+        kit_await(status().wait_s <= 0);
     }
     kit_ok(ask("e1", &e), e);
     nap_ms(600);
@@ -418,7 +393,7 @@ static void test_never_ready(void **state)
     struct err e = {0};
     struct worker_config cfg = quick;
     begin("off", &cfg);
-    await_state(WORKER_OFF);
+    kit_await(status().state == WORKER_OFF);
     kit_fails(ask("e1", &e), ERR_BUSY, e, "pictures are off: the device did not start");
     assert_null(strstr(e.msg, "no device here")); /* clients read this */
     assert_string_equal(status().about, "no device here");
@@ -428,8 +403,7 @@ static void test_never_ready(void **state)
 
     cfg.pause_s = cfg.pause_most_s = 10; /* not waited for when this side ends */
     begin("crash", &cfg);
-    for (double end_s = clock_s() + PATIENCE_S; status().wait_s <= 0 && clock_s() < end_s;)
-        nap_ms(1);
+    kit_await(status().wait_s > 0);
     assert_int_equal(status().crashes, 2);
     kit_fails(ask("e1", &e), ERR_BUSY, e, NULL);
     double start_s = clock_s();
@@ -438,8 +412,7 @@ static void test_never_ready(void **state)
 
     cfg.start_s = 0.2;
     begin("hang", &cfg);
-    for (double end_s = clock_s() + PATIENCE_S; status().wait_s <= 0 && clock_s() < end_s;)
-        nap_ms(1);
+    kit_await(status().wait_s > 0);
     assert_int_equal(status().starts, 2);
     assert_int_equal(status().crashes + status().kills, 2);
 }
@@ -459,9 +432,7 @@ static void test_tried_again(void **state)
     snprintf(hello, sizeof hello, "until %s", path);
     begin(hello, &cfg);
     for (uint64_t i = 1; i <= 4; i++) {
-        for (double end_s = clock_s() + PATIENCE_S;
-             (status().starts < i || status().wait_s <= 0) && clock_s() < end_s;)
-            nap_ms(1);
+        kit_await(status().starts >= i && status().wait_s > 0);
         assert_int_equal(status().state, WORKER_OFF);
         assert_string_equal(status().about, "no device yet");
         const double want_s = i < 3 ? 0.1 * (1 << i) : 0.5;
@@ -471,7 +442,7 @@ static void test_tried_again(void **state)
     }
     assert_true(last_s >= 0.2 + 0.4 + 0.5);
     kit_ok(file_write(path, "", 0, &e), e);
-    await_state(WORKER_READY);
+    kit_await(status().state == WORKER_READY);
     kit_ok(ask("e1", &e), e);
     nap_ms(600);
     assert_true(status().failing_s <= 0);
@@ -530,26 +501,19 @@ static void test_stopping_while_it_hangs(void **state)
     kit_fails(ask("e1", &e), ERR_CANCEL, e, NULL);
     end(NULL);
     assert_true(clock_s() - start_s < 10);
-    await_gone(pid);
+    kit_await(is_gone(pid));
 }
 
 /* Ended from outside while nobody asks: it is there again before anybody does. */
 static void test_ended_while_idle(void **state)
 {
     begin("hello", &quick);
-    await_state(WORKER_READY);
+    kit_await(status().state == WORKER_READY);
     pid_t pid = status().pid;
     double start_s = clock_s();
     kill(pid, SIGKILL);
-    for (double end_s = clock_s() + PATIENCE_S; clock_s() < end_s;) {
-        struct worker_status st = status();
-        if (st.state == WORKER_READY && st.pid != pid)
-            break;
-        nap_ms(1);
-    }
+    kit_await(status().state == WORKER_READY && status().pid != pid);
     print_message("ready again after %.3f s\n", clock_s() - start_s);
-    assert_int_equal(status().state, WORKER_READY);
-    assert_true(status().pid != pid);
     kill(status().pid, SIGTERM); /* those of a group are not for it */
     nap_ms(100);
     assert_int_equal(status().starts, 2);
@@ -577,7 +541,7 @@ static void test_this_side_killed(void **state)
         assert_true(atol(pid) > 0);
         kill(parent, SIGKILL);
         assert_int_equal(waitpid(parent, NULL, 0), parent);
-        await_gone((pid_t)atol(pid));
+        kit_await(is_gone((pid_t)atol(pid)));
     }
 }
 

@@ -58,9 +58,7 @@ static void test_large_answers(void **state)
     assert_int_equal(atoll(header(&r, "Content-Length")), first.body_size);
     buf_free(&r.raw);
     buf_free(&first.raw);
-    for (double end_s = clock_s() + 5; results_in_files() > 1 && clock_s() < end_s;)
-        nap_ms(10); /* answers end a moment after their last byte */
-    assert_int_equal(results_in_files(), 1);
+    kit_await(results_in_files() == 1); /* answers end a moment after their last byte */
     server_stop(&t.server);
     assert_int_equal(results_in_files(), 0);
 }
@@ -428,9 +426,7 @@ static void test_vanishing_clients(void **state)
         await_no_connections();
     }
     assert_int_equal(atomic_load(&s->metrics.inflight), 0);
-    for (double end_s = clock_s() + PATIENCE_S; !job_idle(s->jobs) && clock_s() < end_s;)
-        nap_ms(5);
-    assert_true(job_idle(s->jobs));
+    kit_await(job_idle(s->jobs));
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
 }
 

@@ -58,12 +58,6 @@ static inline void item_drop(void *user, void *work)
     mem_free(work);
 }
 
-static inline void nap_ms(long ms)
-{
-    const struct timespec t = {.tv_nsec = ms * 1000000};
-    nanosleep(&t, NULL);
-}
-
 struct loop { /* of a job */
     struct bench *b;
     pthread_t own;
