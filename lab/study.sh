@@ -658,6 +658,7 @@ solid_alone_rows() { # TRAIN-OPTIONS
   row solid_alone "light alone" exact "" "${known[@]}" --solid-spread 0 --solid-flat 0
   row solid_alone "spread alone" exact "" "${known[@]}" --solid-light 0 --solid-flat 0
   row solid_alone "spread, light" exact "" "${known[@]}" --solid-flat 0
+  row solid_alone "light, flat" exact "" "${known[@]}" --solid-spread 0
   row solid_alone "no known depths" exact "" "$@"
 }
 study_solid_alone() { solid_at_budget solid_alone solid_alone_rows; }
