@@ -14,6 +14,16 @@
 enum { N_CAMERAS = 2, N_IMAGES = 5, N_POINTS = 12 };
 static const char *const parts[] = {"cameras", "images", "points3D"};
 
+/* Readers would take it before the text. */
+static void remove_binary(const char *dir)
+{
+    for (int part = 0; part < 3; part++) {
+        char path[FILE_PATH_MAX + 32];
+        snprintf(path, sizeof path, "%s/%s.bin", dir, parts[part]);
+        assert_int_equal(remove(path), 0);
+    }
+}
+
 /* A consistent model: image i sees point p when (i + p) % 3 is not 0, plus one observation without
  * a point. Ids are sparse; point 0 exists, since 0 is a valid id. */
 static void make_model(struct colmap_model *m)
@@ -377,11 +387,7 @@ static void test_tracks_alone(void **state)
         assert_true(fabs(o->y_px - (250 * at[1] / at[2] + 120)) < 1e-9);
         colmap_free(&out);
         if (!text)
-            for (int part = 0; part < 3; part++) {
-                char path[FILE_PATH_MAX + 32];
-                snprintf(path, sizeof path, "%s/%s.bin", dir, parts[part]);
-                assert_int_equal(remove(path), 0);
-            }
+            remove_binary(dir);
     }
     log_set_level(LOG_WARN);
     colmap_free(&m);
@@ -449,11 +455,7 @@ static void test_points_that_are_nowhere(void **state)
         assert_int_equal(seen, want);
         colmap_free(&out);
         if (!text)
-            for (int part = 0; part < 3; part++) {
-                char path[FILE_PATH_MAX + 32];
-                snprintf(path, sizeof path, "%s/%s.bin", dir, parts[part]);
-                assert_int_equal(remove(path), 0);
-            }
+            remove_binary(dir);
     }
     log_set_level(LOG_WARN);
     colmap_free(&m);

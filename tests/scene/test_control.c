@@ -1,7 +1,7 @@
 /* Mistakes in ground control: those that people make in lists of control points, one at a time, in
  * the list of a synthetic survey. Each must be named. If one point or one mark is wrong, check
  * points must be as accurate as without it. And predicted errors must equal real ones, over many
- * surveys.
+ * surveys. One piece, because all cases change the one list of the one survey that is made here.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
