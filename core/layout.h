@@ -65,6 +65,12 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_ALPHA_MIN_LOG2 (-7.99435343685886f)
 #define LAYOUT_TRANSMITTANCE_MIN 1e-4f
 
+/* Sums along a ray about its known depth (ray_values in render/common.cl), in footprints of a
+ * pixel: half of the largest side is reached so far from the depth, and nearer than this light
+ * before it is not in front. */
+#define LAYOUT_SIDE_PX 2.0f
+#define LAYOUT_FRONT_PX 1.0f
+
 /* Outputs of the appearance network (core/splat/appearance.h): offsets of three colours, then of
  * opacity.
  */
@@ -160,7 +166,8 @@ struct layout_view {
     LAYOUT_U32 listed;     /* 1: a list names the groups of parameters to draw */
     /* 1: fx and fy are pixels a metre, and all rays have direction rot[6..8] */
     LAYOUT_U32 orthographic;
-    float depth_unit_m;   /* unit of moments of depth; 0: the frame has none */
+    float depth_unit_m;   /* unit of sums along rays; 0: the frame has none */
+    float known_zeta;     /* above 0: these sums are about known depths, see render_options */
     LAYOUT_U32 sh_halves; /* 1: harmonics are halves */
     /* 1: a frame that no gradients or scores follow. Intersections have no slots and no hits */
     LAYOUT_U32 picture;
@@ -300,7 +307,7 @@ static_assert(LAYOUT_PLANES_GEOMETRY == LAYOUT_PLANE_OPACITY + 1, "opacity is th
 static_assert(sizeof(struct layout_adam) == 18 * 4, "no padding: an argument of a kernel");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 49 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 50 * 4, "no padding: kernels read the same words");
 
 /* Number of planes of a group of parameters. Embeddings begin at plane layout_planes(sh_degree, 0).
  */

@@ -2,7 +2,8 @@
 // The CPU shape is compiled after blend_cpu.cl, whose names it shares.
 //   in   splats, tile_start, intersection_splat, intersection_slot; color, color_grad [3][h][w];
 //        hits, tile_stop; where the view has a unit of depth also transmit [h][w], moment_maps
-//        [2][h][w] and moment_grad [3][h][w]: dL/d of both moments and of the transmittance
+//        [2][h][w] and moment_grad [3][h][w]: dL/d of both sums along a ray and of the
+//        transmittance; where it has a known_zeta also known [h][w]
 //   out  slots [intersections][LAYOUT_SLOT_FLOATS]; marks [intersections], 1 where a slot was
 //        written (the host clears them: intersections behind the stop are never visited)
 // Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a
@@ -17,9 +18,9 @@
 //     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor;
 //                  0 without with_abs
 //    11  h        12  h u      13  h v: moments of h = dL/d of the splat's depth at the pixel
-// With moments of depth (m of core/layout.h, sum w m and sum w m^2) there are two more colours, m
-// and m^2, and transmittance is a background of 1 behind a third that is 0: they enter dL/dalpha as
-// colours do, and h = w (g_1 + 2 m g_2).
+// With sums along the rays (ray_values of common.cl) there are two more colours, the values of a
+// splat at its depth, and transmittance is a background of 1 behind a third that is 0: they enter
+// dL/dalpha as colours do, and h = w times the sum of g and the values' slopes.
 // Whitened moments stay of the order of q however long and thin the splat is.
 // Every slot has one writer and every sum one order: same input, same bits.
 // Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
@@ -57,29 +58,14 @@ inline float16 fold_1(float16 x,
 
 struct backward_state { // of each block; pixels beyond the picture's edge have t 0
     float16 t[16], rest[16], g[16][3];
-    float16 gm[16][2]; // of the moments
+    float16 gm[16][2];            // of the sums along the rays
+    float16 scale[16], shift[16]; // of ray_known
 };
 
-// Of a whole picture, see the head; the last three are read where the view has a unit of depth.
+// Of a whole picture, see the head; the last four are read where the view has a unit of depth.
 struct backward_maps {
-    __global const float *color, *grad, *transmit, *moments, *moment_grad;
+    __global const float *color, *grad, *transmit, *moments, *moment_grad, *known;
 };
-
-// One block of a planar picture, 0 beyond its edges.
-inline float16 backward_block(__global const float *plane, uint w, uint h, uint x, uint y)
-{
-    float v[16];
-    if (x + 4 <= w && y + 4 <= h) {
-        for (uint row = 0; row < 4; row++)
-            vstore4(vload4(0, plane + (size_t)(y + row) * w + x), row, v);
-    } else {
-        for (uint i = 0; i < 16; i++) {
-            uint px = x + (i & 3), py = y + (i >> 2);
-            v[i] = px < w && py < h ? plane[(size_t)py * w + px] : 0.0f;
-        }
-    }
-    return vload16(0, v);
-}
 
 inline void backward_load(struct backward_state *s, __constant struct layout_view *view,
                           const struct backward_maps *in, uint px, uint py)
@@ -92,26 +78,30 @@ inline void backward_load(struct backward_state *s, __constant struct layout_vie
         int16 inside = (x < (float)w) & (y < (float)h);
         float16 rest = (float16)(0.0f);
         for (uint c = 0; c < 3; c++) {
-            s->g[k][c] = backward_block(in->grad + c * plane, w, h, bx, by);
-            rest = s->g[k][c] * backward_block(in->color + c * plane, w, h, bx, by) + rest;
+            s->g[k][c] = blend_block(in->grad + c * plane, w, h, bx, by);
+            rest = s->g[k][c] * blend_block(in->color + c * plane, w, h, bx, by) + rest;
         }
         if (view->depth_unit_m > 0.0f) {
             for (uint c = 0; c < 2; c++) {
-                s->gm[k][c] = backward_block(in->moment_grad + c * plane, w, h, bx, by);
-                rest = s->gm[k][c] * backward_block(in->moments + c * plane, w, h, bx, by) + rest;
+                s->gm[k][c] = blend_block(in->moment_grad + c * plane, w, h, bx, by);
+                rest = s->gm[k][c] * blend_block(in->moments + c * plane, w, h, bx, by) + rest;
             }
-            rest = backward_block(in->moment_grad + 2 * plane, w, h, bx, by) *
-                       backward_block(in->transmit, w, h, bx, by) +
+            rest = blend_block(in->moment_grad + 2 * plane, w, h, bx, by) *
+                       blend_block(in->transmit, w, h, bx, by) +
                    rest;
         }
+        if (view->known_zeta > 0.0f)
+            ray_known(view, blend_block(in->known, w, h, bx, by), s->scale + k, s->shift + k);
         s->rest[k] = rest;
         s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
     }
 }
 
-// One splat over some blocks: moves the pixels on and writes the slot. moments is a literal.
+// One splat over some blocks: moves the pixels on and writes the slot. moments and about are
+// literals.
 INLINE void backward_splat(struct backward_state *s, const float *w, float x0, float y0,
-                           uint blocks, uint with_abs, const int moments, __global float *slot)
+                           uint blocks, uint with_abs, const int moments, const int about,
+                           __global float *slot)
 {
     float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f,
             muv = 0.0f, mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f, mh = 0.0f, mhu = 0.0f, mhv = 0.0f;
@@ -133,9 +123,11 @@ INLINE void backward_splat(struct backward_state *s, const float *w, float x0, f
         float16 g0 = s->g[k][0], g1 = s->g[k][1], g2 = s->g[k][2];
         float16 gc = g0 * rgb0 + (g1 * rgb1 + g2 * rgb2);
         if (moments) {
-            float16 z = tilt_x * dx + (tilt_y * dy + depth), gz = s->gm[k][1] * z;
-            float16 h = share * (2.0f * gz + s->gm[k][0]);
-            gc = (gz + s->gm[k][0]) * z + gc;
+            float16 z = tilt_x * dx + (tilt_y * dy + depth), value[2], slope[2];
+            ray_values(z, s->scale[k], s->shift[k], about, value, slope);
+            float16 gm0 = s->gm[k][0], gm1 = s->gm[k][1];
+            float16 h = share * (gm1 * slope[1] + gm0 * slope[0]);
+            gc = gm1 * value[1] + (gm0 * value[0] + gc);
             mh += h;
             mhu = h * u + mhu;
             mhv = h * v + mhv;
@@ -195,18 +187,18 @@ INLINE uint backward_stage(__global const struct layout_splat *splats,
     return n;
 }
 
-__kernel void blend_backward(__constant struct layout_view *view,
-                             __global const struct layout_splat *splats,
-                             __global const uint *tile_start,
-                             __global const uint *intersection_splat,
-                             __global const uint *intersection_slot, __global const float *color,
-                             __global const float *color_grad, uint with_abs, __global float *slots,
-                             __global uchar *marks, __global const ushort *hits,
-                             __global const uint *tile_stop, __global const float *transmit,
-                             __global const float *moment_maps, __global const float *moment_grad)
+__kernel void
+blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
+               __global const uint *tile_start, __global const uint *intersection_splat,
+               __global const uint *intersection_slot, __global const float *color,
+               __global const float *color_grad, uint with_abs, __global float *slots,
+               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop,
+               __global const float *transmit, __global const float *moment_maps,
+               __global const float *moment_grad, __global const float *known)
 {
-    const struct backward_maps maps = {color, color_grad, transmit, moment_maps, moment_grad};
-    const bool moments = view->depth_unit_m > 0.0f;
+    const struct backward_maps maps = {color,       color_grad,  transmit,
+                                       moment_maps, moment_grad, known};
+    const bool moments = view->depth_unit_m > 0.0f, about = view->known_zeta > 0.0f;
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
@@ -231,10 +223,12 @@ __kernel void blend_backward(__constant struct layout_view *view,
             marks[slot[j]] = 1;
             const float *w = staged + LAYOUT_SPLAT_WORDS * j;
             __global float *to = slots + (size_t)slot[j] * LAYOUT_SLOT_FLOATS;
-            if (moments)
-                backward_splat(&s, w, x0, y0, mask[j], with_abs, 1, to);
+            if (about)
+                backward_splat(&s, w, x0, y0, mask[j], with_abs, 1, 1, to);
+            else if (moments)
+                backward_splat(&s, w, x0, y0, mask[j], with_abs, 1, 0, to);
             else
-                backward_splat(&s, w, x0, y0, mask[j], with_abs, 0, to);
+                backward_splat(&s, w, x0, y0, mask[j], with_abs, 0, 0, to);
         }
     }
 }
@@ -253,15 +247,16 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
                __global const float *color_grad, uint with_abs, __global float *slots,
                __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop,
                __global const float *transmit, __global const float *moment_maps,
-               __global const float *moment_grad)
+               __global const float *moment_grad, __global const float *known)
 {
-    const bool moments = view->depth_unit_m > 0.0f;
+    const bool moments = view->depth_unit_m > 0.0f, about = view->known_zeta > 0.0f;
     uint tile = (uint)get_group_id(0), lane = (uint)get_local_id(0);
     uint x = (tile % view->tiles_x) * LAYOUT_TILE + lane % LAYOUT_TILE;
     uint y = (tile / view->tiles_x) * LAYOUT_TILE + lane / LAYOUT_TILE;
     int inside = x < view->width && y < view->height;
     size_t plane = (size_t)view->width * view->height, at = (size_t)y * view->width + x;
     float g[3] = {0.0f, 0.0f, 0.0f}, gm[2] = {0.0f, 0.0f}, rest = 0.0f, t = inside ? 1.0f : 0.0f;
+    float scale = 0.0f, shift = 0.0f;
     __local float part[LAYOUT_SLOT_FLOATS * PIXELS], stripe[LAYOUT_SLOT_FLOATS * STRIPES];
     __local uint alive;
     for (uint c = 0; c < 3 && inside; c++) {
@@ -274,6 +269,8 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
             rest = gm[c] * moment_maps[c * plane + at] + rest;
         }
         rest = moment_grad[2 * plane + at] * transmit[at] + rest;
+        if (about)
+            ray_known(view, known[at], &scale, &shift);
     }
     for (uint k = tile_start[tile], end = tile_start[tile + 1]; k < end; k++) {
         __global const struct layout_splat *e = splats + intersection_splat[k];
@@ -284,10 +281,11 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float share = a * t, gc = g[0] * e->rgb[0] + (g[1] * e->rgb[1] + g[2] * e->rgb[2]);
         float u = (dx - e->x_of_y * dy) * e->p, v = dy * e->r, h = 0.0f;
         if (moments) {
-            float z = as_float(e->bands[1]) * dy + as_float(e->cover);
+            float z = as_float(e->bands[1]) * dy + as_float(e->cover), value[2], slope[2];
             z = as_float(e->bands[0]) * dx + z;
-            h = share * (gm[0] + 2.0f * gm[1] * z);
-            gc = (gm[0] + gm[1] * z) * z + gc;
+            ray_values(z, scale, shift, about, value, slope);
+            h = share * (gm[1] * slope[1] + gm[0] * slope[0]);
+            gc = gm[1] * value[1] + (gm[0] * value[0] + gc);
         }
         rest -= share * gc;
         float q = raw > LAYOUT_ALPHA_MAX ? 0.0f : a * (t * gc - rest / (1.0f - a));

@@ -18,8 +18,8 @@
 // blend_shares also sums 1 and alpha T over the pixels of each intersection into its slot
 // (LAYOUT_IMPORTANCE_*; cleared by the host), as importance.cl does.
 //
-// blend_moments also sums the depth of the splats and its square, sum w m and sum w m^2 with w =
-// alpha T and m as in core/layout.h.
+// blend_moments also makes two sums along each ray (ray_values): moments of depth, or sums about the
+// known depth [h][w] of the pixel.
 //
 // Reference: render_ref_forward, render_ref_moments. Same order of blending, no atomics.
 
@@ -104,10 +104,12 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
 
 struct blend_state {
     float16 t[16], r[16], g[16], b[16]; // transmittance and colour of each block
-    float16 m1[16], m2[16];             // moments of depth
+    float16 m1[16], m2[16];             // sums along the rays
+    float16 scale[16], shift[16];       // of ray_known
 };
 
-enum { BLEND_PICTURE, BLEND_MOMENTS, BLEND_SHARES }; // kind: a literal
+// kind: a literal
+enum { BLEND_PICTURE, BLEND_MOMENTS, BLEND_ABOUT, BLEND_SHARES };
 
 inline float blend_sum(float16 v) // in the order of importance.cl
 {
@@ -143,10 +145,11 @@ INLINE void blend_splat(struct blend_state *s, const float *w, float x0, float y
             count += a > 0.0f ? (float16)(1.0f) : (float16)(0.0f);
             shares += share;
         }
-        if (kind == BLEND_MOMENTS) {
-            float16 m = tilt_x * dx + (tilt_y * dy + depth), wm = share * m;
-            s->m1[k] += wm;
-            s->m2[k] = wm * m + s->m2[k];
+        if (kind == BLEND_MOMENTS || kind == BLEND_ABOUT) {
+            float16 m = tilt_x * dx + (tilt_y * dy + depth), value[2], slope[2];
+            ray_values(m, s->scale[k], s->shift[k], kind == BLEND_ABOUT, value, slope);
+            s->m1[k] = share * value[0] + s->m1[k];
+            s->m2[k] = share * value[1] + s->m2[k];
         }
     }
     if (kind == BLEND_SHARES)
@@ -219,16 +222,32 @@ inline void blend_fill(__constant struct layout_view *view, float value, uint px
         blend_row(view->width, px, (float16)(value), plane + (size_t)y * view->width + px);
 }
 
-// moment_maps, and intersection_slot with slots, are of their kinds alone.
+// One block of a planar picture, 0 beyond its edges.
+inline float16 blend_block(__global const float *plane, uint w, uint h, uint x, uint y)
+{
+    float v[16];
+    if (x + 4 <= w && y + 4 <= h) {
+        for (uint row = 0; row < 4; row++)
+            vstore4(vload4(0, plane + (size_t)(y + row) * w + x), row, v);
+    } else {
+        for (uint i = 0; i < 16; i++) {
+            uint px = x + (i & 3), py = y + (i >> 2);
+            v[i] = px < w && py < h ? plane[(size_t)py * w + px] : 0.0f;
+        }
+    }
+    return vload16(0, v);
+}
+
+// moment_maps with known, and intersection_slot with slots, are of their kinds alone.
 INLINE void blend_tile(__constant struct layout_view *view,
                        __global const struct layout_splat *splats, __global const uint *tile_start,
                        __global const uint *intersection_splat, __global float *color,
                        __global float *transmit, __global ushort *hits, __global uint *tile_stop,
                        __global struct layout_counts *counts, __global float *moment_maps,
-                       __global const uint *intersection_slot, __global float *slots,
-                       const int kind)
+                       __global const float *known, __global const uint *intersection_slot,
+                       __global float *slots, const int kind)
 {
-    const int moments = kind == BLEND_MOMENTS;
+    const int moments = kind == BLEND_MOMENTS || kind == BLEND_ABOUT;
     uint tile = atomic_inc(&counts->next_tile);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
@@ -256,6 +275,11 @@ INLINE void blend_tile(__constant struct layout_view *view,
         s.r[k] = s.g[k] = s.b[k] = (float16)(0.0f);
         if (moments)
             s.m1[k] = s.m2[k] = (float16)(0.0f);
+        if (kind == BLEND_ABOUT)
+            ray_known(
+                view,
+                blend_block(known, view->width, view->height, px + 4 * (k & 3), py + 4 * (k >> 2)),
+                s.scale + k, s.shift + k);
     }
     active = blend_active(s.t, active);
     for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
@@ -306,7 +330,7 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
                     __global uint *tile_stop, __global struct layout_counts *counts)
 {
     blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               counts, color, tile_start, color, BLEND_PICTURE);
+               counts, color, color, tile_start, color, BLEND_PICTURE);
 }
 
 __kernel void blend_shares(__constant struct layout_view *view,
@@ -317,7 +341,7 @@ __kernel void blend_shares(__constant struct layout_view *view,
                            __global const uint *intersection_slot, __global float *slots)
 {
     blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               counts, color, intersection_slot, slots, BLEND_SHARES);
+               counts, color, color, intersection_slot, slots, BLEND_SHARES);
 }
 
 __kernel void blend_moments(__constant struct layout_view *view,
@@ -326,8 +350,12 @@ __kernel void blend_moments(__constant struct layout_view *view,
                             __global const uint *intersection_splat, __global float *color,
                             __global float *transmit, __global ushort *hits,
                             __global uint *tile_stop, __global struct layout_counts *counts,
-                            __global float *moment_maps)
+                            __global float *moment_maps, __global const float *known)
 {
-    blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
-               counts, moment_maps, tile_start, color, BLEND_MOMENTS);
+    if (view->known_zeta > 0.0f)
+        blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
+                   counts, moment_maps, known, tile_start, color, BLEND_ABOUT);
+    else
+        blend_tile(view, splats, tile_start, intersection_splat, color, transmit, hits, tile_stop,
+                   counts, moment_maps, known, tile_start, color, BLEND_MOMENTS);
 }

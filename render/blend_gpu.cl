@@ -1,7 +1,8 @@
 // Stage: blend, GPU shape. One work-group draws one tile, one work-item one pixel.
 //   in   tile_start, intersection_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]; where the view has a unit of depth also
-//        moment_maps [2][h][w], see blend_cpu.cl (else it is not touched)
+//        moment_maps [2][h][w], see blend_cpu.cl (else it is not touched); known [h][w] is read
+//        where it has a known_zeta
 // Splats come in batches of 256: each work-item fetches one record into local memory (12 KiB), then
 // all walk the batch. The group leaves when every pixel has stopped. Three barriers a batch,
 // reached by all. Same maths and order per pixel as blend_cpu.cl; only the skipping of blocks is
@@ -15,7 +16,7 @@ __kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
 blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
       __global const uint *tile_start, __global const uint *intersection_splat,
       __global float *color, __global float *transmit, __global ushort *hits,
-      __global uint *tile_stop, __global float *moment_maps)
+      __global uint *tile_stop, __global float *moment_maps, __global const float *known)
 {
     __local struct blend_record staged[LAYOUT_TILE_PIXELS];
     __local uint alive;
@@ -26,7 +27,10 @@ blend(__constant struct layout_view *view, __global const struct layout_splat *s
     bool inside = x < view->width && y < view->height;
     float px = (float)x + 0.5f, py = (float)y + 0.5f;
     float t = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, m1 = 0.0f, m2 = 0.0f;
-    const bool moments = view->depth_unit_m > 0.0f;
+    float scale = 0.0f, shift = 0.0f;
+    const bool moments = view->depth_unit_m > 0.0f, about = view->known_zeta > 0.0f;
+    if (about && inside)
+        ray_known(view, known[(size_t)y * view->width + x], &scale, &shift);
 
     for (uint at = tile_start[tile]; at < end; at += LAYOUT_TILE_PIXELS) {
         if (item == 0)
@@ -64,9 +68,10 @@ blend(__constant struct layout_view *view, __global const struct layout_splat *s
             green = share * w->green + green;
             blue = share * w->blue + blue;
             if (moments) {
-                float m = w->tilt_x * dx + (w->tilt_y * dy + w->depth);
-                m1 += share * m;
-                m2 = share * m * m + m2;
+                float m = w->tilt_x * dx + (w->tilt_y * dy + w->depth), value[2], slope[2];
+                ray_values(m, scale, shift, about, value, slope);
+                m1 = share * value[0] + m1;
+                m2 = share * value[1] + m2;
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE); // nobody still reads staged or alive

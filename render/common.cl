@@ -65,6 +65,35 @@ INLINE V splat_raw(V dx, V dy, float p, float x_of_y, float r, float opacity_log
     return e >= LAYOUT_ALPHA_MIN_LOG2 ? a : (V)(0.0f); // far away a is garbage, and not taken
 }
 
+// Where a depth is known: x = scale m + shift is how many footprints of a pixel a splat at depth m
+// (core/layout.h) lies behind it. known: known_zeta / the depth; not above 0: not known, x is 0.
+INLINE void ray_known(__constant struct layout_view *v, V known, V *scale, V *shift)
+{
+    VI is = known > 0.0f;
+    *scale = is ? known * (v->fx / v->known_zeta) : (V)(0.0f);
+    *shift = is ? *scale - v->fx : (V)(0.0f);
+}
+
+// What a splat at depth m adds to both sums along a ray, over its weight alpha T, and the slopes by
+// m. Moments of depth: m and m^2. About a known depth: side, from -1/2 before it to 1/2 behind it,
+// and front, from 0 to 1 far before it. about: a literal.
+INLINE void ray_values(V m, V scale, V shift, const int about, V value[2], V slope[2])
+{
+    if (!about) {
+        value[0] = m;
+        value[1] = m * m;
+        slope[0] = (V)(1.0f);
+        slope[1] = 2.0f * m;
+        return;
+    }
+    V x = scale * m + shift, k = 1.0f / (LAYOUT_SIDE_PX + fabs(x)), u = -LAYOUT_FRONT_PX - x;
+    V steep = scale * k * k;
+    value[0] = 0.5f * x * k;
+    value[1] = MAX_(u, (V)(0.0f)) * k;
+    slope[0] = (0.5f * LAYOUT_SIDE_PX) * steep;
+    slope[1] = u > 0.0f ? -(LAYOUT_SIDE_PX + LAYOUT_FRONT_PX) * steep : (V)(0.0f);
+}
+
 // A Gaussian as the camera sees it; names as in render_ref.h. Lanes that are culled hold anything.
 struct seen {
     V cam[3];                   // t = W mu + d

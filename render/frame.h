@@ -102,6 +102,7 @@ struct render {
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
     /* with view.depth_unit_m: float [2][h][w] and [3][h][w] planar, see render.h */
     struct frame_buffer moments, moments_grad;
+    struct frame_buffer known; /* float [h][w]: copy of render_options.known */
     struct frame_buffer where; /* uchar [h][w]: copy of render_options.background_where */
     struct frame_buffer edge;  /* float [LAYOUT_EDGE][LAYOUT_EDGE]: copy of render_options.edge */
 

@@ -35,9 +35,9 @@ INLINE void importance_load(struct importance_state *s, __constant struct layout
         uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
         float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
         int16 inside = (x < (float)w) & (y < (float)h);
-        s->weight[k] = backward_block(weight, w, h, bx, by);
+        s->weight[k] = blend_block(weight, w, h, bx, by);
         for (uint c = 0; kind == IMPORTANCE_REMOVAL && c < 3; c++)
-            s->rest[k][c] = backward_block(color + c * (size_t)w * h, w, h, bx, by);
+            s->rest[k][c] = blend_block(color + c * (size_t)w * h, w, h, bx, by);
         s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
     }
 }

@@ -65,10 +65,15 @@ struct render_options {
      * views from farther away than the photographs. 0 and 1: off. The device keeps the finer frame.
      * ERR_ARG with RENDER_AA_NONE, which would draw Gaussians thinner. */
     uint32_t supersample;
-    /* Above 0, the frame also has moments of depth along the rays (render_moments_buffer). Depth is
+    /* Above 0, the frame also has two sums along each ray (render_moments_buffer). Depth is
      * relative to this many metres, which are also its unit. Use about the depth of the scene, so
      * that floats keep enough digits. ERR_ARG with supersampling and orthographic views. */
     double depth_unit_m;
+    /* With it (ERR_ARG: without): these sums are about known depths. [h][w] known_zeta / zeta*,
+     * zeta* the pixel's known depth over depth_unit_m; not above 0: it is not known. Borrowed until
+     * render_forward returns. NULL: they are moments of depth. */
+    const float *known;
+    double known_zeta;
     /* Only the picture is wanted: a tenth faster, but there is no backward pass after the frame and
      * no importance (ERR_ARG). */
     bool picture;
@@ -213,11 +218,20 @@ void render_set_timing(struct render *r, bool on);
 cl_mem render_color_buffer(struct render *r);
 /* The transmittance of the last frame on the device: float [h][w]. Borrowed. */
 cl_mem render_transmittance_buffer(struct render *r);
-/* Moments of depth of the last frame, if it was drawn with depth_unit_m: float [2][h][w] planar on
- * the device, sum w m and sum w m^2. w is alpha T of a splat. m is z / depth_unit_m - 1, at the
- * depth where the pixel's ray meets the splat's densest point (render/moments.cl). The background
- * does not count. Borrowed. NULL: the frame has none. */
+/* The two sums along each ray of the last frame, if it was drawn with depth_unit_m: float [2][h][w]
+ * planar on the device. w is alpha T of a splat. m is z / depth_unit_m - 1, at the depth where the
+ * pixel's ray meets the splat's densest point (render/moments.cl). The background does not count.
+ * Without `known` they are moments of depth, sum w m and sum w m^2. With it, x is how many
+ * footprints of a pixel that depth lies behind the known one, x = fx (zeta / zeta* - 1), and
+ *
+ *     sum w x / (2 (C + |x|)),   sum w max(-x - F, 0) / (C + |x|),
+ *
+ * C = LAYOUT_SIDE_PX, F = LAYOUT_FRONT_PX; both are 0 where no depth is known. The first is 0 where
+ * half of the light is before the known depth, and half behind it. Borrowed. NULL: the frame has
+ * none. */
 cl_mem render_moments_buffer(struct render *r);
+/* render_options.known of the last frame on the device. Borrowed. NULL: it had none. */
+cl_mem render_known_buffer(struct render *r);
 
 /* ---- backward pass: see render_backward.c ---- */
 
@@ -356,7 +370,7 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
 enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam,
                                  const struct render_options *o, double *rgb, double *transmittance,
                                  struct err *e) ERR_USE;
-/* Moments of depth and transmittance of a frame with depth_unit_m, [h][w][3]: sum w m, sum w m^2, T
+/* The sums along the rays of a frame with depth_unit_m, and transmittance, [h][w][3]
  * (render_moments_buffer). ERR_ARG, ERR_MEM. */
 enum err_code render_ref_moments(const struct gauss *g, const struct camera *cam,
                                  const struct render_options *o, double *moments,

@@ -174,7 +174,7 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                    FRAME_ARG(r->color.mem), FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
                    FRAME_ARG(r->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(r->hits.mem),
                    FRAME_ARG(r->tile_stop.mem), FRAME_ARG(r->transmit.mem),
-                   FRAME_ARG(r->moments.mem), FRAME_ARG(moments_grad)),
+                   FRAME_ARG(r->moments.mem), FRAME_ARG(moments_grad), FRAME_ARG(r->known.mem)),
         r->tiles * local, local, e);
 }
 

@@ -114,6 +114,7 @@ void render_close(struct render **rp)
                                       &r->color_grad,
                                       &r->moments,
                                       &r->moments_grad,
+                                      &r->known,
                                       &r->where,
                                       &r->edge,
                                       &r->hits,
@@ -214,6 +215,7 @@ void render_view_fill(const struct render *r, const struct render_model *m, cons
     v->orthographic = o->orthographic;
     v->picture = o->picture;
     v->depth_unit_m = (float)o->depth_unit_m;
+    v->known_zeta = o->known ? (float)o->known_zeta : 0.0f;
     v->room_px = o->list_room_px;
     v->again = o->list_again;
     if (o->edge) {
@@ -252,7 +254,8 @@ static enum err_code render_frame_buffers(struct render *r, struct err *e)
                  {&r->tile_stop, stride * word},
                  {&r->color, 3 * pixels * sizeof(float)},
                  {&r->transmit, pixels * sizeof(float)},
-                 {&r->moments, (r->view.depth_unit_m > 0 ? 2 * pixels : 1) * sizeof(float)}};
+                 {&r->moments, (r->view.depth_unit_m > 0 ? 2 * pixels : 1) * sizeof(float)},
+                 {&r->known, (r->view.known_zeta > 0 ? pixels : 1) * sizeof(float)}};
     for (size_t i = 0; i < sizeof wants / sizeof *wants; i++) {
         enum err_code rc = frame_reserve(r, wants[i].b, wants[i].bytes, e);
         if (rc)
@@ -421,7 +424,7 @@ static enum err_code render_lists_check(const struct render *r, const struct lay
                          "size and Gaussians");
 }
 
-/* Depths of the splats over their pixels, where moments are wanted. */
+/* Depths of the splats over their pixels, where sums along rays are wanted. */
 static enum err_code render_stage_planes(struct render *r, struct err *e)
 {
     size_t local, items = frame_items(r, r->view.groups, &local);
@@ -440,15 +443,16 @@ static enum err_code render_stage_blend(struct render *r, struct err *e)
     size_t local = wide ? 1 : LAYOUT_TILE_PIXELS;
     bool shares = r->shares && wide;
     const struct frame_arg counts = FRAME_ARG(r->counts), maps = FRAME_ARG(r->moments.mem),
+                           known = FRAME_ARG(r->known.mem), slots = FRAME_ARG(r->slots.mem),
                            slot_of = FRAME_ARG(r->intersection_slot.mem);
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),       FRAME_ARG(r->splats.mem),
         FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
         FRAME_ARG(r->color.mem),      FRAME_ARG(r->transmit.mem),
         FRAME_ARG(r->hits.mem),       FRAME_ARG(r->tile_stop.mem),
-        wide ? counts : maps,         shares ? slot_of : maps,
-        FRAME_ARG(r->slots.mem)};
-    size_t n = sizeof args / sizeof *args - (shares ? 0 : wide && moments ? 1 : 2);
+        wide ? counts : maps,         shares ? slot_of : wide ? maps : known,
+        shares ? slots : known};
+    size_t n = sizeof args / sizeof *args - (!wide ? 1 : shares || moments ? 0 : 2);
     cl_kernel kernel = shares            ? r->k.blend_shares
                        : wide && moments ? r->k.blend_moments
                                          : r->k.blend;
@@ -477,8 +481,10 @@ static enum err_code render_hand_over(struct render *r, const struct render_opti
         rc = dev_write_soon(r->dev, r->edge.mem, 0, sizeof o->edge->left, o->edge->left, e);
     if (!rc && o->background_where)
         rc = frame_reserve(r, &r->where, pixels, e);
-    return !rc && o->background_where
-               ? dev_write_soon(r->dev, r->where.mem, 0, pixels, o->background_where, e)
+    if (!rc && o->background_where)
+        rc = dev_write_soon(r->dev, r->where.mem, 0, pixels, o->background_where, e);
+    return !rc && o->known
+               ? dev_write_soon(r->dev, r->known.mem, 0, pixels * sizeof(float), o->known, e)
                : rc;
 }
 
@@ -537,8 +543,10 @@ static enum err_code render_fine_camera(struct render *r, const struct camera *c
     *fine = *cam;
     if (!rc && o->depth_unit_m > 0 && (o->orthographic || factor > 1))
         return err_set(e, ERR_ARG,
-                       "render_forward: moments of depth are of perspective views, one pixel for "
+                       "render_forward: sums along rays are of perspective views, one pixel for "
                        "one");
+    if (!rc && o->known && !(o->depth_unit_m > 0 && o->known_zeta > 0 && isfinite(o->known_zeta)))
+        return err_set(e, ERR_ARG, "render_forward: known depths without a unit of depth");
     if (rc || factor == 1)
         return rc;
     if (o->background_where)
@@ -672,4 +680,9 @@ cl_mem render_transmittance_buffer(struct render *r)
 cl_mem render_moments_buffer(struct render *r)
 {
     return r->view.depth_unit_m > 0 ? r->moments.mem : NULL;
+}
+
+cl_mem render_known_buffer(struct render *r)
+{
+    return r->view.known_zeta > 0 ? r->known.mem : NULL;
 }

@@ -63,6 +63,8 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.half_max_px = 2 * fmax(w, h);
     v.orthographic = o->orthographic;
     v.depth_unit_m = o->depth_unit_m;
+    v.known = o->known;
+    v.known_zeta = o->known_zeta;
     v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree
                       ? (uint32_t)o->sh_degree
                       : g->sh_degree;
@@ -151,6 +153,25 @@ static void ref_plane(const struct ref_view *v, struct ref_splat *s)
 double ref_depth(const struct ref_splat *s, const double d[2])
 {
     return s->depth + s->tilt[0] * d[0] + s->tilt[1] * d[1];
+}
+
+double ref_behind_px(const struct ref_view *v, size_t pixel, double depth)
+{
+    return v->known && v->known[pixel] > 0.0f
+               ? v->fx * ((1 + depth) * (double)v->known[pixel] / v->known_zeta - 1)
+               : 0;
+}
+
+struct ref_ray ref_ray(const struct ref_view *v, size_t pixel, double depth)
+{
+    if (!v->known)
+        return (struct ref_ray){{depth, depth * depth}, {1, 2 * depth}};
+    const double side = (double)LAYOUT_SIDE_PX, front = (double)LAYOUT_FRONT_PX;
+    double x = ref_behind_px(v, pixel, depth), far = side + fabs(x), u = fmax(-x - front, 0);
+    double px = v->known[pixel] > 0.0f ? v->fx * (double)v->known[pixel] / v->known_zeta : 0;
+    return (struct ref_ray){
+        {x / (2 * far), u / far},
+        {px * side / (2 * far * far), u > 0 ? -px * (side + front) / (far * far) : 0}};
 }
 
 /* y = sigmoid(W2 max(0, W1 g^ + b) + b2), see core/splat/appearance.h. */
@@ -376,9 +397,9 @@ enum err_code render_ref_moments(const struct gauss *g, const struct camera *cam
             bool clamped;
             if (!ref_alpha(&splats[i], px, py, d, &alpha, &clamped))
                 continue;
-            double m = ref_depth(&splats[i], d);
-            sum[0] += alpha * t * m;
-            sum[1] += alpha * t * m * m;
+            struct ref_ray ray = ref_ray(&v, at, ref_depth(&splats[i], d));
+            sum[0] += alpha * t * ray.value[0];
+            sum[1] += alpha * t * ray.value[1];
             t *= 1 - alpha;
         }
         moments[3 * at] = sum[0];

@@ -22,7 +22,9 @@ struct ref_view {            /* a camera and options, with all defaults filled i
     double background_there[3];
     const struct render_edge *edge; /* borrowed; NULL: none */
     double origin_enu_m[2];         /* of the model */
-    double depth_unit_m;            /* of moments of depth; 0: none */
+    double depth_unit_m;            /* of sums along rays; 0: none */
+    const float *known;             /* borrowed; NULL: these sums are moments of depth */
+    double known_zeta;
     bool compensate, orthographic;
     uint32_t sh_degree; /* degree that is evaluated */
     const float *frame; /* constants of a frame with appearance, borrowed; NULL: none */
@@ -79,6 +81,14 @@ double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i,
 bool ref_color_open(const struct ref_view *v, const struct ref_splat *s, int channel);
 /* Returns the depth of a splat at an offset d = mean - pixel: the m of render_moments_buffer. */
 double ref_depth(const struct ref_splat *s, const double d[2]);
+/* What a splat at this depth adds to both sums along the ray of a pixel, over its weight, and the
+ * slopes by the depth: see render_moments_buffer. */
+struct ref_ray {
+    double value[2], slope[2];
+};
+struct ref_ray ref_ray(const struct ref_view *v, size_t pixel, double depth);
+/* How many footprints this depth lies behind the known depth of a pixel; 0: none is known. */
+double ref_behind_px(const struct ref_view *v, size_t pixel, double depth);
 /* Computes the alpha of a splat at a pixel centre. Returns false if the splat does not contribute
  * there. d = mean - pixel. *clamped: alpha was cut to LAYOUT_ALPHA_MAX. */
 bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,

@@ -12,8 +12,8 @@
  * Mip-Splatting (Yu et al. 2024). The direction of view of the harmonics is held fixed, so colour
  * does not move a mean. With appearance, gradients of colour and opacity go on through clamp and
  * sum to the outputs of the network, and from there to embeddings and to the constants of the
- * frame. Moments of depth are two more colours, m and m^2, that vary over a splat. Transmittance is
- * the background of a third colour that is 0.
+ * frame. Sums along a ray are of two more colours, which vary over a splat. Transmittance is the
+ * background of a third colour that is 0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -28,34 +28,35 @@ struct splat_grad { /* of what is blended */
     double depth, tilt[2];
 };
 
-/* What a pixel's objective is linear in: colours, then sum w m, sum w m^2 and T. */
+/* What a pixel's objective is linear in: colours, then both sums along the ray, and T. */
 enum { BACKWARD_CHANNELS = 6 };
 
 /* A splat's value in each channel at a pixel. */
-static void backward_values(const struct ref_splat *s, const double d[2],
+static void backward_values(const struct ref_splat *s, const struct ref_ray *ray,
                             double out[BACKWARD_CHANNELS])
 {
-    double m = ref_depth(s, d);
     for (int c = 0; c < 3; c++)
         out[c] = s->rgb[c];
-    out[3] = m;
-    out[4] = m * m;
+    out[3] = ray->value[0];
+    out[4] = ray->value[1];
     out[5] = 0;
 }
 
 /* ---- compositing ---- */
 
 /* Add the gradients of one pixel. */
-static void backward_pixel(const struct ref_splat *splats, size_t n, double px, double py,
-                           const double background[BACKWARD_CHANNELS],
+static void backward_pixel(const struct ref_view *v, const struct ref_splat *splats, size_t n,
+                           size_t pixel, const double background[BACKWARD_CHANNELS],
                            const double g[BACKWARD_CHANNELS], struct splat_grad *out)
 {
     double total[BACKWARD_CHANNELS] = {0}, pre[BACKWARD_CHANNELS] = {0}, t = 1;
     double d[2], alpha, value[BACKWARD_CHANNELS];
+    double px = (double)(pixel % v->width) + 0.5, py = (double)(pixel / v->width) + 0.5;
     bool clamped;
     for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++)
         if (ref_alpha(&splats[i], px, py, d, &alpha, &clamped)) {
-            backward_values(&splats[i], d, value);
+            struct ref_ray ray = ref_ray(v, pixel, ref_depth(&splats[i], d));
+            backward_values(&splats[i], &ray, value);
             for (int c = 0; c < BACKWARD_CHANNELS; c++)
                 total[c] += value[c] * alpha * t;
             t *= 1 - alpha;
@@ -68,8 +69,9 @@ static void backward_pixel(const struct ref_splat *splats, size_t n, double px, 
         struct splat_grad *o = &out[i];
         if (!ref_alpha(s, px, py, d, &alpha, &clamped))
             continue;
-        double g_alpha = 0, g_m = alpha * t * (g[3] + 2 * ref_depth(s, d) * g[4]);
-        backward_values(s, d, value);
+        struct ref_ray ray = ref_ray(v, pixel, ref_depth(s, d));
+        double g_alpha = 0, g_m = alpha * t * (g[3] * ray.slope[0] + g[4] * ray.slope[1]);
+        backward_values(s, &ray, value);
         for (int c = 0; c < BACKWARD_CHANNELS; c++) {
             pre[c] += value[c] * alpha * t;
             g_alpha += g[c] * (value[c] * t - (total[c] - pre[c]) / (1 - alpha));
@@ -333,8 +335,7 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
         memcpy(grad, rgb_grad + 3 * at, 3 * sizeof *grad);
         if (out->moments_grad)
             memcpy(grad + 3, out->moments_grad + 3 * at, 3 * sizeof *grad);
-        backward_pixel(splats, n, (double)(at % v.width) + 0.5, (double)(at / v.width) + 0.5,
-                       background, grad, grads);
+        backward_pixel(&v, splats, n, at, background, grad, grads);
     }
     for (size_t i = 0; i < n; i++)
         backward_splat(&v, g, &splats[i], &grads[i], out->offset_weight / (double)n, out);

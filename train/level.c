@@ -514,6 +514,7 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
                               .site = &l->site,
                               .at = &l->stage,
                               .photo = &photo,
+                              .frame = &ro,
                               .model = m,
                               .timing = &l->timing};
     if (terms_act(&l->gallery, &l->stage, TERM_RAYS))

@@ -12,6 +12,8 @@
 /* A pixel within this of a threshold (alpha at 1/255 or its maximum, T at the stop) may fall on
  * either side in float: its dL/dcolour is set to 0 so that the comparison does not depend on it. */
 #define THRESHOLD_REL 2e-4
+/* Known depths are so many footprints away from where slopes of sums about them jump. */
+#define KINK_PX 0.1
 
 /* ---- scenes ---- */
 
@@ -84,6 +86,40 @@ void view_case_moments(struct view_case *s)
 {
     s->o.depth_unit_m = 2.5; /* centres are 2 to 4 m away */
     s->moments_grad = grad_make((size_t)s->cam.width_px * s->cam.height_px * 3, 99);
+}
+
+void view_case_known(struct view_case *s)
+{
+    static float known[PX_H * PX_W];
+    struct ref_view v;
+    struct ref_splat *splats;
+    size_t n, n_known = 0;
+    struct err e = {0};
+    view_case_moments(s);
+    s->o.known = known;
+    s->o.known_zeta = 1.1;
+    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
+    kit_ok(ref_project_all(&v, &s->g, &splats, &n, &e), e);
+    for (size_t at = 0; at < sizeof known / sizeof *known; at++) {
+        bool clear = false;
+        for (uint64_t try = 0; !clear && try < 9 && at % 5; try++) {
+            known[at] = (float)(s->o.known_zeta / (0.8 + 0.8 * rng_unit(98, try, at)));
+            clear = true;
+            for (size_t i = 0; clear && i < n; i++) {
+                double d[2], alpha, px;
+                bool clamped;
+                if (!ref_alpha(&splats[i], (double)(at % PX_W) + 0.5, (double)(at / PX_W) + 0.5, d,
+                               &alpha, &clamped))
+                    continue;
+                px = ref_behind_px(&v, at, ref_depth(&splats[i], d));
+                clear = fabs(px) > KINK_PX && fabs(px + (double)LAYOUT_FRONT_PX) > KINK_PX;
+            }
+        }
+        known[at] = clear ? known[at] : -1.0f;
+        n_known += clear;
+    }
+    assert_true(n_known > PX_H * PX_W / 3);
+    mem_free(splats);
 }
 
 void view_case_free(struct view_case *s)
@@ -188,9 +224,12 @@ double view_case_objective(const struct view_case *s, const double *rgb_of, uint
             buf_u32(&decisions, (uint32_t)(2 * i + clamped));
             for (size_t c = 0; c < 3; c++)
                 sum += splats[i].rgb[c] * alpha * t * s->rgb_grad[3 * at + c];
-            double m = ref_depth(&splats[i], d);
+            double m = ref_depth(&splats[i], d), behind_px = ref_behind_px(&v, at, m);
+            struct ref_ray ray = ref_ray(&v, at, m);
             for (size_t c = 0; s->moments_grad && c < 2; c++)
-                sum += (c ? m * m : m) * alpha * t * s->moments_grad[3 * at + c];
+                sum += ray.value[c] * alpha * t * s->moments_grad[3 * at + c];
+            buf_u8(&decisions,
+                   (unsigned)(behind_px > 0) + (unsigned)(behind_px > -(double)LAYOUT_FRONT_PX));
             t *= 1 - alpha;
         }
         if (s->moments_grad)

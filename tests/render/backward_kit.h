@@ -30,8 +30,9 @@ struct view_case
 view_case_outside(enum render_aa aa); /* centres beyond the limits of the Jacobian on every side */
 struct view_case view_case_needles(enum render_aa aa); /* axes from 0.4 m down to 0.1 mm */
 void view_case_free(struct view_case *s);
-/* Adds moments of depth to the objective. */
+/* Adds moments of depth to the objective, or sums about depths that are known in most pixels. */
 void view_case_moments(struct view_case *s);
+void view_case_known(struct view_case *s);
 /* Puts another background behind the middle of the picture. */
 void view_case_split_background(struct view_case *s);
 double *grad_make(size_t n, uint64_t seed); /* standard normal numbers; free with mem_free */

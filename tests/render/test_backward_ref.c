@@ -86,6 +86,19 @@ static void test_ref_moments(void **state)
     }
 }
 
+/* Sums about known depths, of the same. */
+static void test_ref_known(void **state)
+{
+    struct view_case s[3] = {view_case_make(140, 7, RENDER_AA_2D, 1),
+                             view_case_outside(RENDER_AA_MIP), view_case_needles(RENDER_AA_NONE)};
+    static const char *const name[] = {"known", "known outside", "known of needles"};
+    for (size_t k = 0; k < 3; k++) {
+        view_case_known(&s[k]);
+        check_reference(&s[k], name[k]);
+        view_case_free(&s[k]);
+    }
+}
+
 static void test_ref_split_background(void **state)
 {
     struct view_case s = view_case_make(110, 7, RENDER_AA_2D, 1);
@@ -183,10 +196,10 @@ static void test_ref_untouched(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_ref_all_parameters),   cmocka_unit_test(test_ref_moments),
-        cmocka_unit_test(test_ref_split_background), cmocka_unit_test(test_ref_saturated),
-        cmocka_unit_test(test_ref_outside),          cmocka_unit_test(test_ref_needles),
-        cmocka_unit_test(test_ref_untouched),
+        cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_moments),
+        cmocka_unit_test(test_ref_known),          cmocka_unit_test(test_ref_split_background),
+        cmocka_unit_test(test_ref_saturated),      cmocka_unit_test(test_ref_outside),
+        cmocka_unit_test(test_ref_needles),        cmocka_unit_test(test_ref_untouched),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

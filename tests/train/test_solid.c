@@ -15,8 +15,6 @@
 #define KERNEL_REL 2e-3 /* V is a difference of float moments of the order of 0.1 */
 #define KERNEL_L2 1e-4
 
-#define KNOWN_ZETA 1.2
-
 static uint8_t support[PX_H * PX_W];
 static float known[PX_H * PX_W];
 
@@ -26,49 +24,45 @@ static struct solid_input input(void)
 {
     for (size_t i = 0; i < sizeof support; i++)
         support[i] = i % PX_W > PX_W / 2 ? 3 : 0;
-    for (size_t i = 0; i < sizeof known / sizeof *known; i++) {
-        double zeta = 1 + 0.1 * rng_normal(9, 1, i);
-        known[i] = i / PX_W > PX_H / 2 && i % 2 ? (float)(KNOWN_ZETA / zeta) : -1.0f;
-    }
+    for (size_t i = 0; i < sizeof known / sizeof *known; i++)
+        known[i] = i / PX_W > PX_H / 2 && i % 2 ? 0.9f : -1.0f;
     return (struct solid_input){.width_px = PX_W,
                                 .height_px = PX_H,
                                 .focal_px = 45,
                                 .spread = 0.7,
                                 .light = 1.3,
                                 .light_known = 0.6,
-                                .supported = support,
-                                .known = known,
-                                .known_zeta = KNOWN_ZETA};
+                                .supported = support};
 }
 
-/* Moments that Gaussians could have made: A from 0 to 1, depths about 0 with steps. */
-static double *moments_make(uint64_t seed)
+/* Sums that Gaussians could have made, A from 0 to 1. Moments: depths about 0 with steps. About
+ * known depths: all sides. */
+static double *sums_make(uint64_t seed, bool about)
 {
     double *m = mem_array((size_t)PX_W * PX_H, 3 * sizeof *m);
     assert_non_null(m);
     for (size_t i = 0; i < (size_t)PX_W * PX_H; i++) {
         double a = i % 11 ? rng_unit(seed, 1, i) : 0.02, d = 0.1 * rng_normal(seed, 2, i / 3);
-        d += i % PX_W > 20 ? 0.4 : 0.0;
         double v = 4e-4 + 0.03 * rng_unit(seed, 3, i) * rng_unit(seed, 4, i);
-        m[3 * i] = a * d;
-        m[3 * i + 1] = a * (d * d + v);
+        d += i % PX_W > 20 ? 0.4 : 0.0;
+        m[3 * i] = a * (about ? rng_unit(seed, 5, i) - 0.5 : d);
+        m[3 * i + 1] = a * (about ? rng_unit(seed, 6, i) : d * d + v);
         m[3 * i + 2] = 1 - a;
     }
     return m;
 }
 
-static double weighted(const struct solid_input *in, const double *moments, const double *held)
+static double weighted(const struct solid_input *in, const double *sums, const double *held)
 {
-    struct solid_value v = solid_ref_value(in, moments, held);
+    struct solid_value v = solid_ref_value(in, sums, held);
     return in->spread * v.spread + in->light * v.light + in->light_known * v.light_known;
 }
 
 /* A pixel whose cover and variance are not within a step of their thresholds. */
 static bool away(const struct solid_input *in, const double m[3])
 {
-    double a = 1 - m[2], d = m[0] / a, v = m[1] / a - d * d,
-           z = in->known ? SOLID_FREE_PX * (1 + d) / in->focal_px : 0;
-    return fabs(a - SOLID_COVER_MIN) > 1e-4 && fabs(v - z * z) > 1e-4;
+    double a = 1 - m[2], d = m[0] / a, v = m[1] / a - d * d;
+    return fabs(a - SOLID_COVER_MIN) > 1e-4 && (in->known || v > 1e-4);
 }
 
 static void test_differences(void **state)
@@ -77,7 +71,7 @@ static void test_differences(void **state)
         struct solid_input in = input();
         in.known = seed % 2 ? known : NULL;
         size_t n = (size_t)3 * PX_W * PX_H, pulled = 0;
-        double *m = moments_make(seed), *held = moments_make(seed),
+        double *m = sums_make(seed, in.known), *held = sums_make(seed, in.known),
                *grad = mem_array(n, sizeof *grad), *fd = mem_array(n, sizeof *fd);
         assert_true(grad && fd);
         solid_ref_grad(&in, m, grad);
@@ -96,7 +90,7 @@ static void test_differences(void **state)
             fd[i] = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * FD_STEP);
             m[i] = keep;
         }
-        assert_true(pulled > (seed % 2 ? n / 16 : n / 6)); /* a quarter is known */
+        assert_true(pulled > n / 6);
         kit_near_d("solid", grad, fd, n, FD_ABS, FD_REL);
         mem_free(m);
         mem_free(held);
@@ -159,22 +153,23 @@ static void test_kernels_match_reference(void **state)
         for (uint64_t seed = 301; seed <= 304; seed++) {
             struct view_case s = view_case_make(seed, 120, RENDER_AA_2D, 0);
             struct solid_input in = input();
-            in.known = seed % 2 ? known : NULL;
             for (size_t i = 0; i < s.g.n; i++)
                 s.g.opacity_logit[i] += 1.0f; /* few holes */
             view_case_moments(&s);
+            for (size_t i = 0; seed % 2 && i < sizeof known / sizeof *known; i++)
+                known[i] = (float)(0.9 + 0.2 * rng_unit(9, 1, i)) * known[i];
+            s.o.known = in.known = seed % 2 ? known : NULL;
+            s.o.known_zeta = 1.1;
             check_kernels(width, &s, &in);
             view_case_free(&s);
         }
 }
 
 /* An opaque plane has no spread and no light, and two sheets have their distance as spread. */
-static void test_by_hand(void **state)
+static void test_spread_by_hand(void **state)
 {
     struct solid_input in = input();
-    static float all_known[PX_H * PX_W];
     size_t px = (size_t)PX_W * PX_H;
-    in.known = NULL;
     double *m = mem_array(px, 3 * sizeof *m);
     assert_non_null(m);
     for (size_t i = 0; i < px; i++) { /* 1/z linear in x and y; opaque */
@@ -194,25 +189,52 @@ static void test_by_hand(void **state)
     double s = px_m * (sqrt(var + soft * soft) - soft), r = s / SOLID_REACH_PX;
     assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_REACH_PX * atan(r))) < 1e-9);
     assert_true(fabs(v.light - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
-    in.known = all_known; /* all of it at 0.2: 5.6 footprints off, and 3 more than one thick */
-    double over = sqrt(var) - SOLID_FREE_PX / px_m, bias = mean - 0.2;
+    assert_true(v.light_known == 0.0);
+    mem_free(m);
+}
+
+/* p(q) by the midpoint rule. */
+static double balance(double q)
+{
+    double sum = 0, step = q / 100000, e = SOLID_SOFT_SIDE;
+    for (double x = step / 2; x < q; x += step)
+        sum += 4 * x * pow(1 - 4 * x * x, 2) / sqrt(x * x + e * e) * step;
+    return sum;
+}
+
+/* Half of the light before the known depth and half behind it is no loss, however far; light that
+ * is far off to one side has hardly any gradient; light before the depth costs more. */
+static void test_balance_by_hand(void **state)
+{
+    const double side = (double)LAYOUT_SIDE_PX, front = (double)LAYOUT_FRONT_PX;
+    struct solid_input in = input();
+    size_t px = (size_t)PX_W * PX_H;
+    double *m = mem_array(px, 3 * sizeof *m), *grad = mem_array(px, 3 * sizeof *grad);
+    assert_true(m && grad);
     for (size_t i = 0; i < px; i++)
-        all_known[i] = 1.0f;
+        known[i] = 1.0f;
+    in.known = known;
+    struct solid_value v = solid_ref_value(&in, m, m);
+    assert_true(v.spread == 0.0 && v.light == 0.0 && v.light_known == 0.0); /* T is 0 */
+    for (size_t i = 0; i < px; i++) { /* three quarters of the light, two footprints behind */
+        m[3 * i] = 0.75 * 2 / (2 * (side + 2));
+        m[3 * i + 2] = 0.25;
+    }
     v = solid_ref_value(&in, m, m);
-    s = px_m * (sqrt(bias * bias + over * over + soft * soft) - soft);
-    r = s / SOLID_REACH_PX;
-    assert_true(fabs(v.spread - 0.75 * 0.5 * (s / (1 + r * r) + SOLID_REACH_PX * atan(r))) < 1e-9);
+    assert_true(fabs(v.spread - 0.75 * balance(0.25)) < 1e-6);
     assert_true(v.light == 0.0 &&
                 fabs(v.light_known - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
-    for (size_t i = 0; i < px; i++) { /* sheets 0.02 apart: thinner than a footprint is free */
-        m[3 * i] = 0.25 * 0.02;
-        m[3 * i + 1] = 0.25 * 0.02 * 0.02;
-        all_known[i] = (float)(KNOWN_ZETA / (1 + 0.02 / 3));
-    }
-    assert_true(solid_ref_value(&in, m, m).spread < 1e-9);
-    in.known = NULL; /* but not where no depth holds it */
-    assert_true(solid_ref_value(&in, m, m).spread > 0.01);
+    for (size_t i = 0; i < px; i++) /* and as much a footprint before front begins */
+        m[3 * i + 1] = 0.75 * 1 / (side + front + 1);
+    assert_true(fabs(solid_ref_value(&in, m, m).spread - v.spread - SOLID_FRONT * 0.75 / 4) < 1e-9);
+    solid_ref_grad(&in, m, grad);
+    double near = grad[0];
+    for (size_t i = 0; i < px; i++) /* 200 footprints behind */
+        m[3 * i] = 0.75 * 200 / (2 * (side + 200));
+    solid_ref_grad(&in, m, grad);
+    assert_true(near > 0 && grad[0] > 0 && grad[0] < 1e-3 * near);
     mem_free(m);
+    mem_free(grad);
 }
 
 static void test_errors(void **state)
@@ -226,9 +248,11 @@ static void test_errors(void **state)
     kit_ok(render_open(dev_get(), &r, &e), e);
     kit_ok(solid_open(dev_get(), &solid, &e), e);
     kernel_forward(r, &s, &model);
-    kit_fails(solid_run(solid, r, &in, &e), ERR_ARG, e, "no moments");
+    kit_fails(solid_run(solid, r, &in, &e), ERR_ARG, e, "of moments of depth");
     view_case_moments(&s);
     kernel_forward(r, &s, &model);
+    in.known = known;
+    kit_fails(solid_run(solid, r, &in, &e), ERR_ARG, e, "about known depths");
     s.o.orthographic = true;
     kit_fails(render_forward(r, &model, &s.cam, &s.o, NULL, NULL, &e), ERR_ARG, e, "perspective");
     solid_close(&solid);
@@ -240,9 +264,8 @@ static void test_errors(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_differences),
-        cmocka_unit_test(test_kernels_match_reference),
-        cmocka_unit_test(test_by_hand),
+        cmocka_unit_test(test_differences),    cmocka_unit_test(test_kernels_match_reference),
+        cmocka_unit_test(test_spread_by_hand), cmocka_unit_test(test_balance_by_hand),
         cmocka_unit_test(test_errors),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);

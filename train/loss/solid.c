@@ -1,5 +1,5 @@
-/* The loss on solid surfaces on the device: one launch over the moments of the renderer's last
- * frame. Owns its kernel and what is handed over.
+/* The loss on solid surfaces on the device: one launch over the sums along the rays of the
+ * renderer's last frame. Owns its kernel and what is handed over.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,13 +20,12 @@ struct solid {
     cl_program program;
     bool wide; /* the shape of the kernel: VW 16 */
     cl_kernel grad;
-    cl_mem supported, known;
-    size_t supported_bytes, known_bytes;
+    cl_mem supported;
+    size_t supported_bytes;
 };
 
 struct solid_weights { /* as in solid.cl */
-    cl_float spread, light, light_known, focal, free_px, soft_px, reach_px, cover, known_zeta,
-        light_t;
+    cl_float spread, front, light, light_known, focal, soft_px, reach_px, soft_side, cover, light_t;
 };
 
 void solid_close(struct solid **p)
@@ -39,7 +38,6 @@ void solid_close(struct solid **p)
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->supported);
-    dev_release(&s->known);
     mem_free(s);
     *p = NULL;
 }
@@ -64,27 +62,17 @@ enum err_code solid_open(struct dev *dev, struct solid **out, struct err *e)
     return rc;
 }
 
-/* A buffer of at least a byte for what the kernel may not read; `from` NULL: nothing is written. */
-static enum err_code solid_give(struct solid *s, const void *from, size_t bytes, cl_mem *to,
-                                size_t *to_bytes, struct err *e)
-{
-    enum err_code rc = ERR_OK;
-    size_t need = from ? bytes : 1;
-    if (need > *to_bytes) {
-        dev_release(to);
-        *to_bytes = 0;
-        rc = dev_buffer(s->dev, need, NULL, to, e);
-        *to_bytes = rc ? 0 : need;
-    }
-    return !rc && from ? dev_write_soon(s->dev, *to, 0, bytes, from, e) : rc;
-}
-
 enum err_code solid_hand_over(struct solid *s, const struct solid_input *in, struct err *e)
 {
-    size_t pixels = (size_t)in->width_px * in->height_px;
-    enum err_code rc = solid_give(s, in->supported, pixels, &s->supported, &s->supported_bytes, e);
-    if (!rc)
-        rc = solid_give(s, in->known, pixels * sizeof(float), &s->known, &s->known_bytes, e);
+    size_t bytes = in->supported ? (size_t)in->width_px * in->height_px : 1;
+    enum err_code rc = ERR_OK;
+    if (bytes > s->supported_bytes) {
+        dev_release(&s->supported);
+        rc = dev_buffer(s->dev, bytes, NULL, &s->supported, e);
+        s->supported_bytes = rc ? 0 : bytes;
+    }
+    if (!rc && in->supported)
+        rc = dev_write_soon(s->dev, s->supported, 0, bytes, in->supported, e);
     if (rc)
         dev_abandon(s->dev, NULL);
     return rc;
@@ -95,30 +83,28 @@ enum err_code solid_run(struct solid *s, struct render *r, const struct solid_in
 {
     cl_uint pixels = in->width_px * in->height_px;
     double n = (double)pixels;
-    const struct solid_weights k = {(cl_float)(in->spread / n),
-                                    (cl_float)(in->light / n),
-                                    (cl_float)(in->light_known / n),
-                                    (cl_float)in->focal_px,
-                                    (cl_float)(in->known ? SOLID_FREE_PX : 0.0),
-                                    (cl_float)SOLID_SOFT_PX,
-                                    (cl_float)SOLID_REACH_PX,
-                                    (cl_float)SOLID_COVER_MIN,
-                                    (cl_float)in->known_zeta,
-                                    (cl_float)SOLID_LIGHT_T};
-    cl_mem moments = render_moments_buffer(r), transmit = render_transmittance_buffer(r),
-           grad = render_moments_grad_buffer(r);
-    cl_uint has_support = in->supported != NULL, has_known = in->known != NULL;
-    if (!moments)
-        return err_set(e, ERR_ARG, "solid: the last frame has no moments of depth");
+    const struct solid_weights k = {
+        (cl_float)(in->spread / n), (cl_float)(in->spread / n * SOLID_FRONT),
+        (cl_float)(in->light / n),  (cl_float)(in->light_known / n),
+        (cl_float)in->focal_px,     (cl_float)SOLID_SOFT_PX,
+        (cl_float)SOLID_REACH_PX,   (cl_float)SOLID_SOFT_SIDE,
+        (cl_float)SOLID_COVER_MIN,  (cl_float)SOLID_LIGHT_T};
+    cl_mem sums = render_moments_buffer(r), transmit = render_transmittance_buffer(r),
+           grad = render_moments_grad_buffer(r), known = render_known_buffer(r);
+    cl_uint has_support = in->supported != NULL, has_known = known != NULL;
+    if (!sums || has_known != (in->known != NULL))
+        return err_set(e, ERR_ARG, "solid: the last frame has no sums %s",
+                       in->known ? "about known depths" : "of moments of depth");
+    known = has_known ? known : sums;
     if (!grad)
         return err_set(e, ERR_MEM, "solid: no room on the device for gradients of %u x %u px",
                        in->width_px, in->height_px);
-    assert(s->supported && s->known);
-    cl_int bad = dev_arg(s->grad, 0, moments);
+    assert(s->supported);
+    cl_int bad = dev_arg(s->grad, 0, sums);
     bad |= dev_arg(s->grad, 1, transmit);
     bad |= dev_arg(s->grad, 2, s->supported);
     bad |= dev_arg(s->grad, 3, has_support);
-    bad |= dev_arg(s->grad, 4, s->known);
+    bad |= dev_arg(s->grad, 4, known);
     bad |= dev_arg(s->grad, 5, has_known);
     bad |= dev_arg(s->grad, 6, pixels);
     bad |= dev_arg(s->grad, 7, k);

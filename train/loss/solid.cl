@@ -1,6 +1,6 @@
-// The loss on solid surfaces: moments of depth -> their gradients. train/loss/solid.h has the
+// The loss on solid surfaces: sums along the rays -> their gradients. train/loss/solid.h has the
 // equations.
-//   solid_grad  moments [2][h][w], transmit [h][w], supported [h][w], known [h][w]
+//   solid_grad  sums [2][h][w], transmit [h][w], supported [h][w], known [h][w]
 //               -> grad [3][h][w]
 // A work-item has BLOCK pixels: many on CPUs, VW at a time, one on GPUs.
 // Reference: solid_ref.c.
@@ -55,10 +55,35 @@ INLINE V pixels_ask(__global const uchar *p, uint n) // 1 where p is not 0
 }
 
 struct solid_weights { // over n
-    float spread, light, light_known, focal, free_px, soft_px, reach_px, cover, known_zeta, light_t;
+    float spread, front, light, light_known, focal, soft_px, reach_px, soft_side, cover, light_t;
 };
 
-__kernel void solid_grad(__global const float *moments, __global const float *transmit,
+// The gradient of spread by both moments of depth and by T.
+INLINE void solid_spread(V m1, V m2, V a, struct solid_weights k, V out[3])
+{
+    VI drawn = (a >= k.cover) & (a + m1 > 0.0f);
+    V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
+    V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
+    V var = drawn ? MAX_(second - d * d, (V)(0.0f)) : (V)(0.0f), sigma = sqrt(var + e * e);
+    V r = px * (sigma - e) / k.reach_px, more = 1.0f + r * r;
+    V w = var > 0.0f ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
+    out[0] = -2.0f * w * d;
+    out[1] = w;
+    out[2] = w * (second - 2.0f * d * d);
+}
+
+// The gradient of balance and front by both sums about known depths and by T.
+INLINE void solid_balance(V side, V a, struct solid_weights k, V out[3])
+{
+    VI drawn = a >= k.cover;
+    V q = side / (drawn ? a : (V)(1.0f)), left = 1.0f - 4.0f * q * q;
+    V slope = k.spread * 4.0f * q * left * left / sqrt(q * q + k.soft_side * k.soft_side);
+    out[0] = drawn ? slope : (V)(0.0f);
+    out[1] = (V)(k.front);
+    out[2] = drawn ? slope * q : (V)(0.0f);
+}
+
+__kernel void solid_grad(__global const float *sums, __global const float *transmit,
                          __global const uchar *supported, uint has_support,
                          __global const float *known, uint has_known, uint pixels,
                          struct solid_weights k, __global float *grad)
@@ -66,24 +91,19 @@ __kernel void solid_grad(__global const float *moments, __global const float *tr
     uint from = (uint)get_global_id(0) * BLOCK, to = min(from + BLOCK, pixels);
     for (uint at = from; at < to; at += VW) {
         uint n = to - at;
-        V t = pixels_load(transmit + at, n), a = 1.0f - t;
-        V m1 = pixels_load(moments + at, n), m2 = pixels_load(moments + pixels + at, n);
-        V t_known = has_known ? pixels_load(known + at, n) : (V)(0.0f);
-        VI is_known = t_known > 0.0f, drawn = (a >= k.cover) & (a + m1 > 0.0f);
-        V inv_a = 1.0f / (drawn ? a : (V)(1.0f)), d = m1 * inv_a, second = m2 * inv_a;
-        V zeta = drawn ? 1.0f + d : (V)(1.0f), px = k.focal / zeta, e = k.soft_px / px;
-        V b = is_known ? zeta - k.known_zeta / (is_known ? t_known : (V)(1.0f)) : (V)(0.0f);
-        V own = sqrt(drawn ? MAX_(second - d * d, (V)(0.0f)) : (V)(0.0f));
-        V u = MAX_(own - k.free_px / px, (V)(0.0f)), sigma = sqrt(b * b + u * u + e * e);
-        V r = px * (sigma - e) / k.reach_px, more = 1.0f + r * r;
-        VI pulled = has_known ? drawn & is_known : drawn;
-        V w_b = pulled ? k.spread * px * 0.5f / (sigma * more * more) : (V)(0.0f); // A over A
-        V w_v = own > 0.0f ? w_b * u / own : (V)(0.0f), w_bb = 2.0f * w_b * b;
+        V t = pixels_load(transmit + at, n), first = pixels_load(sums + at, n), out[3];
+        VI is_known = (V)(0.0f) > 1.0f;
+        if (has_known) {
+            is_known = pixels_load(known + at, n) > 0.0f;
+            solid_balance(first, 1.0f - t, k, out);
+        } else {
+            solid_spread(first, pixels_load(sums + pixels + at, n), 1.0f - t, k, out);
+        }
         V where = has_support ? pixels_ask(supported + at, n) : (V)(0.0f);
         V slope = MIN_(t, (V)(k.light_t)) * (1.0f / k.light_t);
         V press = where * slope * (is_known ? (V)(k.light_known) : (V)(k.light));
-        pixels_store(grad + at, w_bb - 2.0f * w_v * d, n);
-        pixels_store(grad + pixels + at, w_v, n);
-        pixels_store(grad + 2 * pixels + at, press + w_bb * d + w_v * (second - 2.0f * d * d), n);
+        pixels_store(grad + at, out[0], n);
+        pixels_store(grad + pixels + at, out[1], n);
+        pixels_store(grad + 2 * pixels + at, press + out[2], n);
     }
 }

@@ -22,6 +22,8 @@
 /* Part of the weight of spread at the end of a level; below 1 so that photographs
  * count more there (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FINAL 0.3
+/* Spread in a photograph without known depths, of its weight about known ones. */
+#define TERM_SOLID_UNKNOWN 0.5
 /* Light where depth is known, of its weight elsewhere: the surface cannot sink there. */
 #define TERM_SOLID_LIGHT_KNOWN 2.0
 
@@ -84,16 +86,17 @@ static enum err_code term_solid_hand_over(void *own, const struct term_step *ste
         rc = depth_map_target(t->maps, photo->image, &photo->cam, photo->mask, &known, e);
     if (rc)
         return rc;
+    step->frame->known = known.t;
+    step->frame->known_zeta = known.unit_m / terms_depth_unit_m(step->site);
     t->in = (struct solid_input){
         .width_px = photo->cam.width_px,
         .height_px = photo->cam.height_px,
         .focal_px = photo->cam.fx_px,
-        .spread = c->solid_spread * fade,
+        .spread = c->solid_spread * fade * (known.t ? 1.0 : TERM_SOLID_UNKNOWN),
         .light = c->solid_light,
         .light_known = TERM_SOLID_LIGHT_KNOWN * c->solid_light,
         .supported = step->supported,
         .known = known.t,
-        .known_zeta = known.unit_m / terms_depth_unit_m(step->site),
     };
     return solid_hand_over(t->solid, &t->in, e);
 }

@@ -18,6 +18,7 @@
 struct gallery;
 struct model;
 struct photo;
+struct render_options;
 struct site;
 struct stage;
 struct timing;
@@ -27,7 +28,7 @@ enum term_place {
     TERM_EMBEDDINGS, /* before the frame: the moments of Adam of the embeddings */
     TERM_GAUSSIANS,  /* before the frame: term_step.extra */
     TERM_PIXELS,     /* after the frame: the gradient of its colours */
-    TERM_RAYS,       /* after the frame: the gradient of the moments of depth of its rays */
+    TERM_RAYS,       /* after the frame: the gradient of the sums along its rays */
     TERM_BACKWARD    /* in the backward pass: model->adam */
 };
 
@@ -37,6 +38,7 @@ struct term_step { /* input of one step; all borrowed */
     const struct stage *at;
     const struct photo *photo;
     const uint8_t *supported; /* [h][w] not 0: the photograph shows supported ground; NULL: no */
+    struct render_options *frame; /* hand_over may set known depths in it */
     struct model *model;
     struct timing *timing;
     /* TERM_GAUSSIANS: float [groups][LAYOUT_PLANES_SHAPE][16], gradients of sizes and rotations of
