@@ -66,10 +66,11 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_TRANSMITTANCE_MIN 1e-4f
 
 /* Sums along a ray about its known depth (ray_values in render/common.cl), in footprints of a
- * pixel: half of the largest side is reached so far from the depth, and nearer than this light
- * before it is not in front. */
+ * pixel: so far from the depth half of the largest side is reached, and nearer nothing is away.
+ * What is away behind counts this part of what is away before it. */
 #define LAYOUT_SIDE_PX 2.0f
-#define LAYOUT_FRONT_PX 1.0f
+#define LAYOUT_AWAY_PX 0.5f
+#define LAYOUT_AWAY_BEHIND 0.4f
 
 /* Outputs of the appearance network (core/splat/appearance.h): offsets of three colours, then of
  * opacity.

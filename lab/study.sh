@@ -635,38 +635,36 @@ study_solid_terms() {
   seeded solid_terms solid_terms_rows solid_terms small --iterations "$(steps solid_terms)" --budget 20000,30000,40000
 }
 # The same question at 480 x 360 px, the default's length and a budget that binds.
-solid_at_budget() { # STUDY ROWS
-  local MAP_VIEWS=1 SURFACE=city
-  seeded "$1" "$2" --iterations "$(steps "$1")" --budget 40000,80000,160000
+solid_at_budget() { # STUDY ROWS...
+  local MAP_VIEWS=1 SURFACE=city study=$1
+  shift
+  seeded "$study" "$@" --iterations "$(steps "$study")" --budget 40000,80000,160000
 }
-# "points" begins with the points of known depths, as rows with terms do. The default is spread 0.005, light 0.08, flat 0.01.
+# "points" begins with the points of known depths, as rows with terms do. "balance 0.01" is the default, with light 0.08 and flat 0.01. Rows of a weight of
+# spread are of commits before balance took its place about known depths.
 solid_fixed_rows() { # STUDY SCENE TRAIN-OPTIONS
   local study=$1 scene=$2 off=(--solid-spread 0 --solid-light 0 --solid-flat 0)
   shift 2
-  row "$study" "spread 0.005" "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" --solid-spread 0.005
+  row "$study" "balance 0.01" "$scene" "" "$@" --depth-prior "$OUT/$scene-depth"
   row "$study" none "$scene" "" "$@" "${off[@]}"
   row "$study" "none, points" "$scene" "" "$@" --depth-prior "$OUT/$scene-depth" "${off[@]}"
 }
-solid_fixed_city() { # TRAIN-OPTIONS
-  solid_fixed_rows solid_fixed exact "$@"
-  row solid_fixed "spread 0.01" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-spread 0.01
-}
-study_solid_fixed() { solid_at_budget solid_fixed solid_fixed_city; }
+study_solid_fixed() { solid_at_budget solid_fixed solid_fixed_rows solid_fixed exact; }
 # Terms alone and in pairs, and all of them without known depths.
 solid_alone_rows() { # TRAIN-OPTIONS
   local known=("$@" --depth-prior "$OUT/exact-depth")
   row solid_alone "light alone" exact "" "${known[@]}" --solid-spread 0 --solid-flat 0
-  row solid_alone "spread alone" exact "" "${known[@]}" --solid-light 0 --solid-flat 0
-  row solid_alone "spread, light" exact "" "${known[@]}" --solid-flat 0
+  row solid_alone "balance, light" exact "" "${known[@]}" --solid-flat 0
   row solid_alone "light, flat" exact "" "${known[@]}" --solid-spread 0
   row solid_alone "no known depths" exact "" "$@"
 }
 study_solid_alone() { solid_at_budget solid_alone solid_alone_rows; }
-# One weight a third or three times as large.
+# One weight a half or twice as large.
 solid_weights_rows() { # TRAIN-OPTIONS
-  local o
-  for o in "spread 0.0017" "light 0.027" "light 0.24" "flat 0.03"; do
-    row solid_weights "$o" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-"${o% *}" "${o#* }"
+  local o name
+  for o in "balance 0.005" "balance 0.02" "light 0.04" "light 0.16"; do
+    name=${o% *}
+    row solid_weights "$o" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-"${name/balance/spread}" "${o#* }"
   done
 }
 study_solid_weights() { solid_at_budget solid_weights solid_weights_rows; }
@@ -677,6 +675,27 @@ solid_fixed_caliterra_rows() { # TRAIN-OPTIONS
 study_solid_fixed_caliterra() {
   local SURFACE=points
   seeded solid_fixed_caliterra solid_fixed_caliterra_rows --iterations "$(steps solid_fixed_caliterra)" --budget 25000,50000,100000
+}
+# The same elsewhere: in paint that says little of shape, and in a district that was seen from all sides.
+solid_elsewhere_rows() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2
+  shift 2
+  set -- "$scene" "" "$@" --depth-prior "$OUT/$scene-depth"
+  row "$study" "balance 0.01" "$@"
+  row "$study" "none, points" "$@" --solid-spread 0 --solid-light 0 --solid-flat 0
+}
+study_solid_fixed_tricky() { solid_at_budget solid_fixed_tricky solid_elsewhere_rows solid_fixed_tricky tricky; }
+study_solid_fixed_ochota() {
+  local SURFACE=points
+  seeded solid_fixed_ochota solid_elsewhere_rows solid_fixed_ochota ochota-400 --iterations "$(steps solid_fixed_ochota)" --budget 40000,80000,160000
+}
+# With 0.7 of the Gaussians, against no term with all of them in solid_fixed.
+solid_fewer_rows() { # TRAIN-OPTIONS
+  row solid_fixed_fewer "balance 0.01" exact "" "$@" --budget 28000,56000,112000 --depth-prior "$OUT/exact-depth"
+}
+study_solid_fixed_fewer() {
+  local MAP_VIEWS=1 SURFACE=city
+  seeded solid_fixed_fewer solid_fewer_rows --iterations "$(steps solid_fixed_fewer)"
 }
 study_solid_tricky() { MAP_VIEWS=1 solid solid_tricky tricky city; }
 # Photographs of twice as many pixels across: half the footprint of a pixel.
@@ -966,7 +985,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_alone solid_weights solid_fixed_caliterra solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_alone solid_weights solid_fixed_caliterra solid_fixed_tricky solid_fixed_ochota solid_fixed_fewer solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

@@ -75,8 +75,9 @@ INLINE void ray_known(__constant struct layout_view *v, V known, V *scale, V *sh
 }
 
 // What a splat at depth m adds to both sums along a ray, over its weight alpha T, and the slopes by
-// m. Moments of depth: m and m^2. About a known depth: side, from -1/2 before it to 1/2 behind it,
-// and front, from 0 to 1 far before it. about: a literal.
+// m. Moments of depth: m and m^2. About a known depth: its side, from -1/2 before it to 1/2 behind
+// it, and how much it is away, up to 1 before it and LAYOUT_AWAY_BEHIND behind it; see
+// render_moments_buffer. about: a literal.
 INLINE void ray_values(V m, V scale, V shift, const int about, V value[2], V slope[2])
 {
     if (!about) {
@@ -86,12 +87,15 @@ INLINE void ray_values(V m, V scale, V shift, const int about, V value[2], V slo
         slope[1] = 2.0f * m;
         return;
     }
-    V x = scale * m + shift, k = 1.0f / (LAYOUT_SIDE_PX + fabs(x)), u = -LAYOUT_FRONT_PX - x;
-    V steep = scale * k * k;
+    V x = scale * m + shift, far = fabs(x), k = 1.0f / (LAYOUT_SIDE_PX + far);
+    V steep = scale * k * k, away = far - LAYOUT_AWAY_PX;
+    VI behind = x > 0.0f, is = away > 0.0f;
     value[0] = 0.5f * x * k;
-    value[1] = MAX_(u, (V)(0.0f)) * k;
+    value[1] = is ? away * k * (behind ? (V)(LAYOUT_AWAY_BEHIND) : (V)(1.0f)) : (V)(0.0f);
     slope[0] = (0.5f * LAYOUT_SIDE_PX) * steep;
-    slope[1] = u > 0.0f ? -(LAYOUT_SIDE_PX + LAYOUT_FRONT_PX) * steep : (V)(0.0f);
+    slope[1] = is ? (LAYOUT_SIDE_PX + LAYOUT_AWAY_PX) * steep *
+                        (behind ? (V)(LAYOUT_AWAY_BEHIND) : (V)(-1.0f))
+                  : (V)(0.0f);
 }
 
 // A Gaussian as the camera sees it; names as in render_ref.h. Lanes that are culled hold anything.

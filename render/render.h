@@ -224,9 +224,10 @@ cl_mem render_transmittance_buffer(struct render *r);
  * Without `known` they are moments of depth, sum w m and sum w m^2. With it, x is how many
  * footprints of a pixel that depth lies behind the known one, x = fx (zeta / zeta* - 1), and
  *
- *     sum w x / (2 (C + |x|)),   sum w max(-x - F, 0) / (C + |x|),
+ *     sum w x / (2 (C + |x|)),   sum w b max(|x| - F, 0) / (C + |x|),
  *
- * C = LAYOUT_SIDE_PX, F = LAYOUT_FRONT_PX; both are 0 where no depth is known. The first is 0 where
+ * C = LAYOUT_SIDE_PX, F = LAYOUT_AWAY_PX, b = LAYOUT_AWAY_BEHIND where x > 0, else 1; both are 0
+ * where no depth is known. The first is 0 where
  * half of the light is before the known depth, and half behind it. Borrowed. NULL: the frame has
  * none. */
 cl_mem render_moments_buffer(struct render *r);

@@ -166,12 +166,13 @@ struct ref_ray ref_ray(const struct ref_view *v, size_t pixel, double depth)
 {
     if (!v->known)
         return (struct ref_ray){{depth, depth * depth}, {1, 2 * depth}};
-    const double side = (double)LAYOUT_SIDE_PX, front = (double)LAYOUT_FRONT_PX;
-    double x = ref_behind_px(v, pixel, depth), far = side + fabs(x), u = fmax(-x - front, 0);
+    const double side = (double)LAYOUT_SIDE_PX, free = (double)LAYOUT_AWAY_PX,
+                 behind = (double)LAYOUT_AWAY_BEHIND;
+    double x = ref_behind_px(v, pixel, depth), far = side + fabs(x), away = fmax(fabs(x) - free, 0);
     double px = v->known[pixel] > 0.0f ? v->fx * (double)v->known[pixel] / v->known_zeta : 0;
-    return (struct ref_ray){
-        {x / (2 * far), u / far},
-        {px * side / (2 * far * far), u > 0 ? -px * (side + front) / (far * far) : 0}};
+    double slope = away > 0 ? px * (side + free) / (far * far) : 0;
+    return (struct ref_ray){{x / (2 * far), (x > 0 ? behind : 1) * away / far},
+                            {px * side / (2 * far * far), (x > 0 ? behind : -1) * slope}};
 }
 
 /* y = sigmoid(W2 max(0, W1 g^ + b) + b2), see core/splat/appearance.h. */

@@ -112,7 +112,7 @@ void view_case_known(struct view_case *s)
                                &alpha, &clamped))
                     continue;
                 px = ref_behind_px(&v, at, ref_depth(&splats[i], d));
-                clear = fabs(px) > KINK_PX && fabs(px + (double)LAYOUT_FRONT_PX) > KINK_PX;
+                clear = fabs(px) > KINK_PX && fabs(fabs(px) - (double)LAYOUT_AWAY_PX) > KINK_PX;
             }
         }
         known[at] = clear ? known[at] : -1.0f;
@@ -228,8 +228,9 @@ double view_case_objective(const struct view_case *s, const double *rgb_of, uint
             struct ref_ray ray = ref_ray(&v, at, m);
             for (size_t c = 0; s->moments_grad && c < 2; c++)
                 sum += ray.value[c] * alpha * t * s->moments_grad[3 * at + c];
-            buf_u8(&decisions,
-                   (unsigned)(behind_px > 0) + (unsigned)(behind_px > -(double)LAYOUT_FRONT_PX));
+            buf_u8(&decisions, (unsigned)(behind_px > 0) +
+                                   (unsigned)(behind_px > -(double)LAYOUT_AWAY_PX) +
+                                   (unsigned)(behind_px > (double)LAYOUT_AWAY_PX));
             t *= 1 - alpha;
         }
         if (s->moments_grad)

@@ -202,11 +202,11 @@ static double balance(double q)
     return sum;
 }
 
-/* Half of the light before the known depth and half behind it is no loss, however far; light that
- * is far off to one side has hardly any gradient; light before the depth costs more. */
+/* Light at the known depth is no loss; balance of light that is far off to one side has hardly any
+ * gradient. */
 static void test_balance_by_hand(void **state)
 {
-    const double side = (double)LAYOUT_SIDE_PX, front = (double)LAYOUT_FRONT_PX;
+    const double side = (double)LAYOUT_SIDE_PX, away = (double)LAYOUT_AWAY_PX;
     struct solid_input in = input();
     size_t px = (size_t)PX_W * PX_H;
     double *m = mem_array(px, 3 * sizeof *m), *grad = mem_array(px, 3 * sizeof *grad);
@@ -224,9 +224,11 @@ static void test_balance_by_hand(void **state)
     assert_true(fabs(v.spread - 0.75 * balance(0.25)) < 1e-6);
     assert_true(v.light == 0.0 &&
                 fabs(v.light_known - (0.25 - SOLID_LIGHT_T / 2) * 19 / 40) < 1e-9);
-    for (size_t i = 0; i < px; i++) /* and as much a footprint before front begins */
-        m[3 * i + 1] = 0.75 * 1 / (side + front + 1);
-    assert_true(fabs(solid_ref_value(&in, m, m).spread - v.spread - SOLID_FRONT * 0.75 / 4) < 1e-9);
+    for (size_t i = 0; i < px; i++) /* and as much away as that is */
+        m[3 * i + 1] = 0.75 * (double)LAYOUT_AWAY_BEHIND * (2 - away) / (side + 2);
+    assert_true(fabs(solid_ref_value(&in, m, m).spread - v.spread -
+                     SOLID_AWAY * 0.75 * (double)LAYOUT_AWAY_BEHIND * (2 - away) / (side + 2)) <
+                1e-9);
     solid_ref_grad(&in, m, grad);
     double near = grad[0];
     for (size_t i = 0; i < px; i++) /* 200 footprints behind */

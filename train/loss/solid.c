@@ -25,7 +25,7 @@ struct solid {
 };
 
 struct solid_weights { /* as in solid.cl */
-    cl_float spread, front, light, light_known, focal, soft_px, reach_px, soft_side, cover, light_t;
+    cl_float spread, away, light, light_known, focal, soft_px, reach_px, soft_side, cover, light_t;
 };
 
 void solid_close(struct solid **p)
@@ -84,7 +84,7 @@ enum err_code solid_run(struct solid *s, struct render *r, const struct solid_in
     cl_uint pixels = in->width_px * in->height_px;
     double n = (double)pixels;
     const struct solid_weights k = {
-        (cl_float)(in->spread / n), (cl_float)(in->spread / n * SOLID_FRONT),
+        (cl_float)(in->spread / n), (cl_float)(in->spread / n * SOLID_AWAY),
         (cl_float)(in->light / n),  (cl_float)(in->light_known / n),
         (cl_float)in->focal_px,     (cl_float)SOLID_SOFT_PX,
         (cl_float)SOLID_REACH_PX,   (cl_float)SOLID_SOFT_SIDE,

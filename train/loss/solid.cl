@@ -55,7 +55,7 @@ INLINE V pixels_ask(__global const uchar *p, uint n) // 1 where p is not 0
 }
 
 struct solid_weights { // over n
-    float spread, front, light, light_known, focal, soft_px, reach_px, soft_side, cover, light_t;
+    float spread, away, light, light_known, focal, soft_px, reach_px, soft_side, cover, light_t;
 };
 
 // The gradient of spread by both moments of depth and by T.
@@ -72,14 +72,14 @@ INLINE void solid_spread(V m1, V m2, V a, struct solid_weights k, V out[3])
     out[2] = w * (second - 2.0f * d * d);
 }
 
-// The gradient of balance and front by both sums about known depths and by T.
+// The gradient of balance and away by both sums about known depths and by T.
 INLINE void solid_balance(V side, V a, struct solid_weights k, V out[3])
 {
     VI drawn = a >= k.cover;
     V q = side / (drawn ? a : (V)(1.0f)), left = 1.0f - 4.0f * q * q;
     V slope = k.spread * 4.0f * q * left * left / sqrt(q * q + k.soft_side * k.soft_side);
     out[0] = drawn ? slope : (V)(0.0f);
-    out[1] = (V)(k.front);
+    out[1] = (V)(k.away);
     out[2] = drawn ? slope * q : (V)(0.0f);
 }
 

@@ -2,17 +2,17 @@
  * ground that photographs see.
  *
  * For a pixel, A = 1 - T, and n is the number of pixels. Where depths are known, the term is on the
- * frame's sums about them (render_moments_buffer), S and F:
+ * frame's sums about them (render_moments_buffer), S and W:
  *
- *     balance = 1/n sum A p(S / A) + SOLID_FRONT F,   p' = 4 q (1 - 4 q^2)^2 / sqrt(q^2 + e^2)
+ *     balance = 1/n sum A p(S / A) + SOLID_AWAY W,   p' = 4 q (1 - 4 q^2)^2 / sqrt(q^2 + e^2)
  *
- * with p(0) = 0 and e = SOLID_SOFT_SIDE. Half of the light stops before the known depth, half
- * behind it, and nothing is asked of how far behind: as a median, and unlike a mean, the depth of
- * the surface is not moved by what lies behind it. So large Gaussians may lie behind small ones,
- * which pictures need. |q| is at most 1/2. Near 0 the loss is A times the distance in footprints;
- * where all light is far off to one side, it has hardly any gradient: there the pixel shows
- * something else than the map (edges, narrow courts, trees). Front is for light that is more than a
- * footprint before the known depth.
+ * with p(0) = 0 and e = SOLID_SOFT_SIDE. By the first part half of the light stops before the known
+ * depth and half behind it: as a median, and unlike a mean, that is hardly moved by how far behind
+ * the surface something lies. So large Gaussians may lie behind small ones, which pictures need.
+ * |q| is at most 1/2. Near 0 the loss is A times the distance in footprints; where all light is far
+ * off to one side, it has hardly any gradient: there the pixel shows something else than the map
+ * (edges, narrow courts, trees). The second part is for light far from the depth, above all before
+ * it.
  *
  * In photographs without known depths, D = sum w m / A, V = sum w m^2 / A - D^2, zeta = 1 + D the
  * depth of the pixel in units of the frame's, focal the focal length in pixels, and e =
@@ -42,7 +42,7 @@
 
 #include "render/render.h"
 
-#define SOLID_FRONT 3.0      /* weight of front beside balance */
+#define SOLID_AWAY 3.0       /* weight of what is away beside balance */
 #define SOLID_SOFT_SIDE 0.05 /* the gradient of a smaller imbalance goes to 0 */
 #define SOLID_SOFT_PX 0.25   /* the gradient of smaller spreads goes to 0 */
 #define SOLID_REACH_PX 4.0   /* the gradient of larger spreads goes to 0 */

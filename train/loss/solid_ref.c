@@ -24,7 +24,7 @@ static double solid_primitive(double s)
 
 static double solid_balance(const double m[3], const double held[3])
 {
-    double q = m[0] / (1 - m[2]), loss = SOLID_FRONT * m[1];
+    double q = m[0] / (1 - m[2]), loss = SOLID_AWAY * m[1];
     if (1 - m[2] >= SOLID_COVER_MIN)
         loss += (1 - held[2]) * (solid_primitive(sqrt(q * q + SOLID_SOFT_SIDE * SOLID_SOFT_SIDE)) -
                                  solid_primitive(SOLID_SOFT_SIDE));
@@ -34,7 +34,7 @@ static double solid_balance(const double m[3], const double held[3])
 static void solid_balance_grad(double weight, const double m[3], double g[3])
 {
     double q = m[0] / (1 - m[2]), left = 1 - 4 * q * q;
-    g[1] += weight * SOLID_FRONT;
+    g[1] += weight * SOLID_AWAY;
     if (1 - m[2] < SOLID_COVER_MIN)
         return;
     double slope = weight * 4 * q * left * left / sqrt(q * q + SOLID_SOFT_SIDE * SOLID_SOFT_SIDE);
