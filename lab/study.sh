@@ -185,7 +185,7 @@ ceilings() { lab ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 # Studies of one question are recorded in one file: solid, solid_block and solid_fine in solid.jsonl. A file stays below 1 MiB.
 runs_of() { # STUDY
   case $1 in
-  map_views | solid_terms | solid_fixed* | solid_alone | solid_weights | solid_ochota) echo "$RUNS/$1.jsonl" ;;
+  map_views | solid_terms | solid_fixed* | solid_alone | solid_ochota) echo "$RUNS/$1.jsonl" ;;
   *) echo "$RUNS/${1%%_*}.jsonl" ;;
   esac
 }
@@ -659,15 +659,6 @@ solid_alone_rows() { # TRAIN-OPTIONS
   row solid_alone "no known depths" exact "" "$@"
 }
 study_solid_alone() { solid_at_budget solid_alone solid_alone_rows; }
-# One weight a half or twice as large.
-solid_weights_rows() { # TRAIN-OPTIONS
-  local o name
-  for o in "balance 0.005" "balance 0.02" "light 0.04" "light 0.16"; do
-    name=${o% *}
-    row solid_weights "$o" exact "" "$@" --depth-prior "$OUT/exact-depth" --solid-"${name/balance/spread}" "${o#* }"
-  done
-}
-study_solid_weights() { solid_at_budget solid_weights solid_weights_rows; }
 solid_fixed_caliterra_rows() { # TRAIN-OPTIONS
   solid_fixed_rows solid_fixed_caliterra caliterra-400 "$@"
   row solid_fixed_caliterra "light alone" caliterra-400 "" "$@" --depth-prior "$OUT/caliterra-400-depth" --solid-spread 0 --solid-flat 0
@@ -985,7 +976,7 @@ study_pyramid() {
 }
 
 # Those of a city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_alone solid_weights solid_fixed_caliterra solid_fixed_tricky solid_fixed_ochota solid_fixed_fewer solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
+readonly STUDIES=(time full long long_city big lod far budgets pareto importance rates rates_caliterra fall fall_caliterra fall_ochota side side_demo side_caliterra remedies remedies_caliterra background background_caliterra solid solid_terms solid_fixed solid_alone solid_fixed_caliterra solid_fixed_tricky solid_fixed_ochota solid_fixed_fewer solid_tricky solid_fine solid_block solid_mvs solid_caliterra solid_ochota sh sh_ochota sh_demo sh_gloss embedding network transfer transfer_sun ochota_light ochota_cells ochota_cells_light ablation ablation_city cells cells_light
   supersample supersample_caliterra rd layout pyramid growth bench)
 
 main() {

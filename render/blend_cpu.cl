@@ -18,8 +18,8 @@
 // blend_shares also sums 1 and alpha T over the pixels of each intersection into its slot
 // (LAYOUT_IMPORTANCE_*; cleared by the host), as importance.cl does.
 //
-// blend_moments also makes two sums along each ray (ray_values): moments of depth, or sums about the
-// known depth [h][w] of the pixel.
+// blend_moments also makes two sums along each ray (ray_values): moments of depth, or sums about
+// the known depth of the pixel.
 //
 // Reference: render_ref_forward, render_ref_moments. Same order of blending, no atomics.
 

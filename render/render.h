@@ -227,9 +227,8 @@ cl_mem render_transmittance_buffer(struct render *r);
  *     sum w x / (2 (C + |x|)),   sum w b max(|x| - F, 0) / (C + |x|),
  *
  * C = LAYOUT_SIDE_PX, F = LAYOUT_AWAY_PX, b = LAYOUT_AWAY_BEHIND where x > 0, else 1; both are 0
- * where no depth is known. The first is 0 where
- * half of the light is before the known depth, and half behind it. Borrowed. NULL: the frame has
- * none. */
+ * where no depth is known. The first is 0 where half of the light is before the known depth, and
+ * half behind it. Borrowed. NULL: the frame has none. */
 cl_mem render_moments_buffer(struct render *r);
 /* render_options.known of the last frame on the device. Borrowed. NULL: it had none. */
 cl_mem render_known_buffer(struct render *r);

@@ -545,7 +545,8 @@ static enum err_code render_fine_camera(struct render *r, const struct camera *c
         return err_set(e, ERR_ARG,
                        "render_forward: sums along rays are of perspective views, one pixel for "
                        "one");
-    if (!rc && o->known && !(o->depth_unit_m > 0 && o->known_zeta > 0 && isfinite(o->known_zeta)))
+    if (!rc && o->known &&
+        !(o->depth_unit_m > 0 && (float)o->known_zeta > 0.0f && isfinite(o->known_zeta)))
         return err_set(e, ERR_ARG, "render_forward: known depths without a unit of depth");
     if (rc || factor == 1)
         return rc;
