@@ -66,8 +66,8 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 #define LAYOUT_TRANSMITTANCE_MIN 1e-4f
 
 /* Sums along a ray about its known depth (ray_values in render/common.cl), in footprints of a
- * pixel: so far from the depth half of the largest side is reached, and nearer nothing is away.
- * What is away behind counts this part of what is away before it. */
+ * pixel. SIDE: so far off side is 1/4, half of its limit. AWAY: nearer light is not away. BEHIND:
+ * weight of what is away behind the depth; before it 1. */
 #define LAYOUT_SIDE_PX 2.0f
 #define LAYOUT_AWAY_PX 0.5f
 #define LAYOUT_AWAY_BEHIND 0.4f
@@ -139,7 +139,7 @@ struct layout_splat {
     LAYOUT_U32 cover;
     LAYOUT_U32 bands[LAYOUT_BANDS / 2];
 };
-/* Only bin reads cover and bands. In a frame with moments of depth, the same words later hold the
+/* Only bin reads cover and bands. In a frame with sums along rays, the same words later hold the
  * plane of the splat, as floats. The splat's depth at a pixel is
  *
  *     m = depth + tilt_x d.x + tilt_y d.y,   d = mean - pixel centre

@@ -617,7 +617,7 @@ solid_terms_rows() { # STUDY SCENE TRAIN-OPTIONS
   shift 2
   row "$study" none "$scene" "" "$@" "${spread[@]}" "${light[@]}" "${flat[@]}"
   row "$study" light "$scene" "" "$@" "${known[@]}" "${spread[@]}" "${flat[@]}"
-  row "$study" "spread, light" "$scene" "" "$@" "${known[@]}" "${flat[@]}"
+  row "$study" "balance, light" "$scene" "" "$@" "${known[@]}" "${flat[@]}"
   row "$study" default "$scene" "" "$@" "${known[@]}"
   row "$study" "no depths, light" "$scene" "" "$@" "${spread[@]}" "${flat[@]}"
   row "$study" "no depths, default" "$scene" "" "$@"

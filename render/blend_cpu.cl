@@ -1,8 +1,8 @@
 // Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels. Which one, it takes from a
 // counter: a device hands out work-items in long runs, and a city seen from afar lies in few tiles.
 //   in   tile_start, intersection_splat, splats
-//   out  color [3][h][w] with background, transmit [h][w]; of blend_moments also the two moments
-//        [2][h][w]
+//   out  color [3][h][w] with background, transmit [h][w]; of blend_moments also two sums along
+//        rays [2][h][w], for which it reads known [h][w] where the view has a known_zeta
 //        hits [intersections]: bit k is set when the splat was drawn into block k (not of a frame
 //        that is only a picture),
 //        tile_stop [tiles]: intersections from there on were not visited. The backward pass visits

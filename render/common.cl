@@ -77,7 +77,7 @@ INLINE void ray_known(__constant struct layout_view *v, V known, V *scale, V *sh
 // What a splat at depth m adds to both sums along a ray, over its weight alpha T, and the slopes by
 // m. Moments of depth: m and m^2. About a known depth: its side, from -1/2 before it to 1/2 behind
 // it, and how much it is away, up to 1 before it and LAYOUT_AWAY_BEHIND behind it; see
-// render_moments_buffer. about: a literal.
+// render_moments_buffer. about: a literal on CPUs.
 INLINE void ray_values(V m, V scale, V shift, const int about, V value[2], V slope[2])
 {
     if (!about) {

@@ -8,7 +8,7 @@
  *                                                         ties by index
  *     bin      order -> tile_start, intersection_splat,   intersections of a tile in depth order
  *              intersection_slot
- *     planes   splats -> words of the splats              with moments of depth only: over words
+ *     planes   splats -> words of the splats              with sums along rays only: over words
  *                                                         that only bin reads
  *     blend    -> color, transmit, moments                one work-item a tile on CPUs, one
  *                                                         work-group a tile on GPUs

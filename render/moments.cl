@@ -1,4 +1,4 @@
-// Stage: planes of splats, between the tile lists and blend, in frames with moments of depth.
+// Stage: planes of splats, between the tile lists and blend, in frames with sums along rays.
 //   in   params, tiles_of
 //   out  splats: words LAYOUT_SPLAT_DEPTH and the two behind it, of those that are visible
 //

@@ -21,7 +21,7 @@
 // has simple derivatives of its own: d(1/2 ln det S0) = 1 - m_k^2 / det S0 for ln s_k.
 // Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is
 // already tangent. The view direction of SH is held fixed.
-// With moments of depth a splat's depth at a pixel is z + k . d in units of view.depth_unit_m (see
+// With sums along rays a splat's depth at a pixel is z + k . d in units of view.depth_unit_m (see
 // moments.cl), k = L k', k' = -2 ln2 N p_z. From H = sum h, (h_u, h_v) = sum h (u, v) and b = 2 ln2
 // N^T (h_u, h_v)
 //     dL/dP = L (..  - 2 ln2 (h_u, h_v) (p_z + N^T k')^T - k' b^T),   dL/dp_z = -b,

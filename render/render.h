@@ -69,9 +69,10 @@ struct render_options {
      * relative to this many metres, which are also its unit. Use about the depth of the scene, so
      * that floats keep enough digits. ERR_ARG with supersampling and orthographic views. */
     double depth_unit_m;
-    /* With it (ERR_ARG: without): these sums are about known depths. [h][w] known_zeta / zeta*,
-     * zeta* the pixel's known depth over depth_unit_m; not above 0: it is not known. Borrowed until
-     * render_forward returns. NULL: they are moments of depth. */
+    /* With depth_unit_m alone, and with known_zeta above 0 (else ERR_ARG): these sums are about
+     * known depths. [h][w] known_zeta / zeta*, zeta* the pixel's known depth over depth_unit_m; not
+     * above 0: it is not known. Borrowed until render_forward returns. NULL: they are moments of
+     * depth. */
     const float *known;
     double known_zeta;
     /* Only the picture is wanted: a tenth faster, but there is no backward pass after the frame and
@@ -222,13 +223,13 @@ cl_mem render_transmittance_buffer(struct render *r);
  * planar on the device. w is alpha T of a splat. m is z / depth_unit_m - 1, at the depth where the
  * pixel's ray meets the splat's densest point (render/moments.cl). The background does not count.
  * Without `known` they are moments of depth, sum w m and sum w m^2. With it, x is how many
- * footprints of a pixel that depth lies behind the known one, x = fx (zeta / zeta* - 1), and
+ * footprints of a pixel that depth lies behind the known one, x = fx ((1 + m) / zeta* - 1), and
  *
  *     sum w x / (2 (C + |x|)),   sum w b max(|x| - F, 0) / (C + |x|),
  *
  * C = LAYOUT_SIDE_PX, F = LAYOUT_AWAY_PX, b = LAYOUT_AWAY_BEHIND where x > 0, else 1; both are 0
- * where no depth is known. The first is 0 where half of the light is before the known depth, and
- * half behind it. Borrowed. NULL: the frame has none. */
+ * where no depth is known. The first is 0 where light before the known depth weighs as much as
+ * light behind it; far light weighs 1/2. Borrowed. NULL: the frame has none. */
 cl_mem render_moments_buffer(struct render *r);
 /* render_options.known of the last frame on the device. Borrowed. NULL: it had none. */
 cl_mem render_known_buffer(struct render *r);

@@ -547,7 +547,9 @@ static enum err_code render_fine_camera(struct render *r, const struct camera *c
                        "one");
     if (!rc && o->known &&
         !(o->depth_unit_m > 0 && (float)o->known_zeta > 0.0f && isfinite(o->known_zeta)))
-        return err_set(e, ERR_ARG, "render_forward: known depths without a unit of depth");
+        return err_set(
+            e, ERR_ARG,
+            "render_forward: known depths need a unit of depth and a known_zeta above 0");
     if (rc || factor == 1)
         return rc;
     if (o->background_where)
@@ -579,7 +581,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     r->shares = o->shares;
     memset(&r->stats, 0, sizeof r->stats);
     if (!rc && o->shares && (o->picture || o->depth_unit_m > 0))
-        rc = err_set(e, ERR_ARG, "render_forward: shares, and a picture alone or moments of depth");
+        rc = err_set(e, ERR_ARG, "render_forward: shares, and a picture alone or sums along rays");
     if (!rc && o->edge && (!o->picture || !(o->edge->side_m > 0)))
         rc = err_set(e, ERR_ARG, "render_forward: an edge without a side, or not a picture alone");
     if (rc) {

@@ -55,7 +55,7 @@ struct ref_splat {
     double opacity_eff; /* opacity * rho */
     double rgb[3];
     double half_px[2]; /* half-sizes k sqrt(S00), k sqrt(S11), not rounded */
-    /* with moments of depth: m = depth + tilt . (mean_px - pixel), in units of depth_unit_m */
+    /* with sums along rays: m = depth + tilt . (mean_px - pixel), in units of depth_unit_m */
     double depth, tilt[2];
     double cov_z[2]; /* covariance of the pixel and the depth, px m */
 };

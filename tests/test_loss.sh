@@ -34,7 +34,7 @@ place_of() { # PASS: in words
         EMBEDDINGS) echo "appearance embeddings" ;;
         GAUSSIANS) echo "Gaussians" ;;
         PIXELS) echo "pixels of the frame" ;;
-        RAYS) echo "moments of depth of the frame's rays" ;;
+        RAYS) echo "sums along the frame's rays" ;;
         BACKWARD) echo "Gaussians, in the backward pass" ;;
         *) fail "pass $1: its place has no words" ;;
     esac

@@ -4,15 +4,15 @@
  * For a pixel, A = 1 - T, and n is the number of pixels. Where depths are known, the term is on the
  * frame's sums about them (render_moments_buffer), S and W:
  *
- *     balance = 1/n sum A p(S / A) + SOLID_AWAY W,   p' = 4 q (1 - 4 q^2)^2 / sqrt(q^2 + e^2)
+ *     balance = 1/n sum (A p(S / A) + SOLID_AWAY W),   p' = 4 q (1 - 4 q^2)^2 / sqrt(q^2 + e^2)
  *
- * with p(0) = 0 and e = SOLID_SOFT_SIDE. By the first part half of the light stops before the known
- * depth and half behind it: as a median, and unlike a mean, that is hardly moved by how far behind
- * the surface something lies. So large Gaussians may lie behind small ones, which pictures need.
- * |q| is at most 1/2. Near 0 the loss is A times the distance in footprints; where all light is far
- * off to one side, it has hardly any gradient: there the pixel shows something else than the map
- * (edges, narrow courts, trees). The second part is for light far from the depth, above all before
- * it.
+ * with p(0) = 0 and e = SOLID_SOFT_SIDE. By the first part about half of the light stops before the
+ * known depth and half behind it: as a median, and unlike a mean, that is hardly moved by how far
+ * behind the surface something lies. So large Gaussians may lie behind small ones, which pictures
+ * need. |q| is at most 1/2. Near 0 the loss is A times the distance in footprints; where all light
+ * is far off to one side, it has hardly any gradient: there the pixel shows something else than the
+ * map (edges, narrow courts, trees). The second part is for light far from the depth, above all
+ * before it.
  *
  * In photographs without known depths, D = sum w m / A, V = sum w m^2 / A - D^2, zeta = 1 + D the
  * depth of the pixel in units of the frame's, focal the focal length in pixels, and e =
@@ -30,8 +30,9 @@
  *     light  = 1/n sum of h(T) over the supported pixels; light_known: those of known depth
  * h = T^2 / (2 t) below t = SOLID_LIGHT_T, T - t/2 above: closed ground has hardly any gradient
  *
- * A in front of the terms and focal / zeta are constants in the gradient: else a Gaussian would
- * lower the loss by moving away from the camera.
+ * A in front of p and of spread, and focal / zeta, are constants in the gradient: else a Gaussian
+ * would lower the loss by moving away from the camera. W has no such factor: light far away also
+ * becomes fainter.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -13,7 +13,7 @@ static bool solid_knows(const struct solid_input *in, size_t at)
     return in->known && in->known[at] > 0.0f;
 }
 
-/* ---- about known depths: m is S, F, T of a pixel ---- */
+/* ---- about known depths: m is S, W, T of a pixel ---- */
 
 /* The integral of p' from 0, with s^2 = q^2 + e^2 and dq q / s = ds. */
 static double solid_primitive(double s)

@@ -19,7 +19,7 @@
  * narrow courts would be bridged before they are seen (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FROM 1.0
 #define TERM_SOLID_SINGLE 0.5
-/* Part of the weight of spread at the end of a level; below 1 so that photographs
+/* Part of the weight of balance and spread at the end of a level; below 1 so that photographs
  * count more there (docs/decisions/015-solid-surfaces.md). */
 #define TERM_SOLID_FINAL 0.3
 /* Spread in a photograph without known depths, of its weight about known ones. */
