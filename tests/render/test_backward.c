@@ -181,7 +181,7 @@ static void test_known_errors(void **state)
     assert_non_null(render_known_buffer(r));
     const struct render_options keep = s.o;
     for (int i = 0; i < 3; i++) {
-        static const double bad[] = {0, -1, NAN};
+        static const double bad[] = {0, -1, (double)NAN};
         s.o.known_zeta = bad[i];
         kit_fails(render_forward(r, &m, &s.cam, &s.o, NULL, NULL, &e), ERR_ARG, e, "unit of depth");
     }

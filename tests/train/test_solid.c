@@ -196,9 +196,12 @@ static void test_spread_by_hand(void **state)
 /* p(q) by the midpoint rule. */
 static double balance(double q)
 {
-    double sum = 0, step = q / 100000, e = SOLID_SOFT_SIDE;
-    for (double x = step / 2; x < q; x += step)
+    enum { STEPS = 100000 };
+    double sum = 0, step = q / STEPS, e = SOLID_SOFT_SIDE;
+    for (int i = 0; i < STEPS; i++) {
+        double x = (i + 0.5) * step;
         sum += 4 * x * pow(1 - 4 * x * x, 2) / sqrt(x * x + e * e) * step;
+    }
     return sum;
 }
 
