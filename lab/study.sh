@@ -436,19 +436,16 @@ study_time() { # accuracy against training time, with the finest level alone and
   done
 }
 
-study_long() { # what going on does to photographs
-  local n base=(caliterra-200 "" --level-count 1)
-  for n in 2000 8000 30000; do
-    row long "$n steps" "${base[@]}" --iterations "$n"
+# What going on does, at a budget that binds: photographs, map views, heights. Rows of n steps are whole runs, not what a longer one has after n.
+long_rows() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2 n
+  shift 2
+  for n in 2000 4000 7000 15000 30000; do
+    row "$study" "$n steps" "$scene" "steps=$n" --iterations "$n" --depth-prior "$OUT/$scene-depth" "$@"
   done
 }
-
-study_long_city() { # the same in a city, by map views too
-  local n MAP_VIEWS=1
-  for n in 2000 8000 30000; do
-    row long_city "$n steps" exact "" --level-count 1 --max-edge-px 240 --iterations "$n"
-  done
-}
+study_long() { SURFACE=points long_rows long caliterra-400 --budget 25000,50000,100000; }
+study_long_city() { MAP_VIEWS=1 SURFACE=city long_rows long_city exact --budget 40000,80000,160000; }
 
 study_budgets() { # accuracy against the number of Gaussians
   local b
